@@ -1,0 +1,73 @@
+//! Moving targets, told from stationary ones by their radial speed.
+
+use crate::odometry::BodyVelocity;
+use crate::scan::{Mount, Scan};
+
+/// The radial speed a stationary target would show at an azimuth, metres per second, positive away
+/// from the sensor.
+///
+/// `mount` is the sensor's place on the body, `v` the body's velocity, `azimuth_rad` counts
+/// counter-clockwise from the boresight.
+#[must_use]
+pub fn static_radial_speed(mount: &Mount, v: BodyVelocity, azimuth_rad: f64) -> f64 {
+    // The lever arm turns the yaw rate into a velocity of the sensor.
+    let vx = v.forward_mps - v.yaw_rate_radps * mount.y_m;
+    let vy = v.left_mps + v.yaw_rate_radps * mount.x_m;
+    let (s, c) = (mount.yaw_rad + azimuth_rad).sin_cos();
+    -(vx * c + vy * s)
+}
+
+/// True when row `row` shows a radial speed that no stationary target would; false when the scan
+/// carries no radial speeds.
+#[must_use]
+pub fn is_mover(scan: &Scan, row: usize, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> bool {
+    let Some(&measured) = scan.radial_speed_mps.get(row) else { return false };
+    let expected = static_radial_speed(mount, v, f64::from(scan.azimuth_rad[row]));
+    (f64::from(measured) - expected).abs() > max_residual_mps
+}
+
+/// Drops the detections of moving targets and returns how many there were; does nothing when the
+/// scan carries no radial speeds.
+pub fn drop_movers(scan: &mut Scan, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> usize {
+    let before = scan.len();
+    scan.retain(|scan, row| !is_mover(scan, row, mount, v, max_residual_mps));
+    before - scan.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_6};
+
+    #[test]
+    fn what_lies_ahead_comes_closer() {
+        let v = BodyVelocity { forward_mps: 10.0, ..BodyVelocity::default() };
+        let mount = Mount::new(3.0, 0.0, 0.0);
+        assert!((static_radial_speed(&mount, v, 0.0) + 10.0).abs() < 1e-12);
+        assert!(static_radial_speed(&mount, v, FRAC_PI_2).abs() < 1e-12);
+        let outward = Mount::new(3.0, 0.8, FRAC_PI_6);
+        assert!((static_radial_speed(&outward, v, -FRAC_PI_6) + 10.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn turning_on_the_spot_moves_a_sensor_at_the_nose() {
+        let v = BodyVelocity { yaw_rate_radps: 0.5, ..BodyVelocity::default() };
+        let nose = Mount::new(3.0, 0.0, 0.0);
+        assert!((static_radial_speed(&nose, v, FRAC_PI_2) + 1.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn movers_go_and_the_rest_stays() {
+        let v = BodyVelocity { forward_mps: 10.0, ..BodyVelocity::default() };
+        let mut scan = Scan {
+            range_m: vec![20.0, 30.0, 40.0],
+            azimuth_rad: vec![0.0; 3],
+            radial_speed_mps: vec![-10.1, -2.0, -9.8],
+            ..Scan::default()
+        };
+        assert_eq!(drop_movers(&mut scan, &Mount::IDENTITY, v, 0.5), 1);
+        assert_eq!(scan.range_m, [20.0, 40.0]);
+        scan.radial_speed_mps.clear();
+        assert_eq!(drop_movers(&mut scan, &Mount::IDENTITY, v, 0.5), 0);
+    }
+}

@@ -1,0 +1,143 @@
+//! Cells and tiles of the plane.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::{Error, Zone};
+
+/// Side of a cell, metres (paper, Sec. "Test procedure").
+pub const CELL_M: f64 = 0.1;
+/// Cells along a tile's side.
+pub const CELLS_PER_TILE: usize = 512;
+/// Side of a tile, metres.
+pub const TILE_M: f64 = CELL_M * CELLS_PER_TILE as f64;
+
+/// A cell of a zone's plane, counted from the zone's false origin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CellIndex {
+    /// Cells east.
+    pub x: i64,
+    /// Cells north.
+    pub y: i64,
+}
+
+impl CellIndex {
+    /// The cell that holds map metres [easting, northing].
+    #[must_use]
+    pub fn of([x_m, y_m]: [f64; 2]) -> Self {
+        Self { x: (x_m / CELL_M).floor() as i64, y: (y_m / CELL_M).floor() as i64 }
+    }
+
+    /// Map metres of the cell's centre.
+    #[must_use]
+    pub fn centre(self) -> [f64; 2] {
+        [(self.x as f64 + 0.5) * CELL_M, (self.y as f64 + 0.5) * CELL_M]
+    }
+}
+
+/// A tile: its zone and its place in the zone's plane, in tiles from the false origin.
+///
+/// Ordered by zone, then row by row, so that neighbours are near each other in a sorted store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TileId {
+    /// The zone.
+    pub zone: Zone,
+    /// Tiles north.
+    pub y: i32,
+    /// Tiles east.
+    pub x: i32,
+}
+
+impl TileId {
+    /// The tile that holds map metres [easting, northing] of a zone.
+    #[must_use]
+    pub fn of(zone: Zone, [x_m, y_m]: [f64; 2]) -> Self {
+        Self::of_cell(zone, CellIndex::of([x_m, y_m]))
+    }
+
+    /// The tile that holds a cell.
+    #[must_use]
+    pub fn of_cell(zone: Zone, cell: CellIndex) -> Self {
+        let side = CELLS_PER_TILE as i64;
+        Self { zone, x: cell.x.div_euclid(side) as i32, y: cell.y.div_euclid(side) as i32 }
+    }
+
+    /// Map metres of the south-west corner.
+    #[must_use]
+    pub fn origin(self) -> [f64; 2] {
+        [f64::from(self.x) * TILE_M, f64::from(self.y) * TILE_M]
+    }
+
+    /// The south-west cell.
+    #[must_use]
+    pub fn first_cell(self) -> CellIndex {
+        let side = CELLS_PER_TILE as i64;
+        CellIndex { x: i64::from(self.x) * side, y: i64::from(self.y) * side }
+    }
+
+    /// Tiles of a zone that touch the square of half width `half_m` around map metres.
+    pub fn covering(zone: Zone, [x_m, y_m]: [f64; 2], half_m: f64) -> impl Iterator<Item = Self> {
+        let low = Self::of(zone, [x_m - half_m, y_m - half_m]);
+        let high = Self::of(zone, [x_m + half_m, y_m + half_m]);
+        (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| Self { zone, y, x }))
+    }
+}
+
+impl fmt::Display for TileId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}/{}", self.zone.epsg(), self.x, self.y)
+    }
+}
+
+impl FromStr for TileId {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self, Error> {
+        let unreadable = || Error::NotATileId { text: text.to_owned() };
+        let mut parts = text.split('/');
+        let (Some(epsg), Some(x), Some(y), None) = (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
+            return Err(unreadable());
+        };
+        Ok(Self {
+            zone: Zone::from_epsg(epsg.parse().map_err(|_| unreadable())?)?,
+            x: x.parse().map_err(|_| unreadable())?,
+            y: y.parse().map_err(|_| unreadable())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_cell_lies_in_its_tile(x in -1e6..1e6_f64, y in 0.0..1e7_f64) {
+            let zone = Zone::from_epsg(32614).unwrap();
+            let cell = CellIndex::of([x, y]);
+            let tile = TileId::of_cell(zone, cell);
+            let first = tile.first_cell();
+            prop_assert!((0..512).contains(&(cell.x - first.x)) && (0..512).contains(&(cell.y - first.y)));
+            prop_assert_eq!(tile.to_string().parse::<TileId>().unwrap(), tile);
+            let [cx, cy] = cell.centre();
+            prop_assert!((cx - x).abs() <= 0.051 && (cy - y).abs() <= 0.051);
+        }
+    }
+
+    #[test]
+    fn covering_is_the_block_of_tiles_touched() {
+        let zone = Zone::from_epsg(32614).unwrap();
+        let tiles: Vec<_> = TileId::covering(zone, [51.2 * 10.5, 51.2 * 20.5], 50.0).collect();
+        assert_eq!(tiles.len(), 9);
+        assert!(tiles.is_sorted());
+    }
+
+    #[test]
+    fn unreadable_ids_say_what_was_expected() {
+        for text in ["", "32614/1", "32614/1/2/3", "4326/1/2", "32614/a/2"] {
+            assert!(text.parse::<TileId>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! The science of Echofix: pure functions and values. No I/O, no async, no clock, no globals.
+//!
+//! The paper implemented here is L. Narula, P. A. Iannucci, T. E. Humphreys,
+//! "Automotive-Radar-Based 50-cm Urban Positioning" (2020); comments cite its equation and
+//! algorithm labels. The rooms, in reading order:
+//!
+//! - [`pose`]: planar poses and how they compose.
+//! - [`geo`]: WGS-84 to UTM and back, meridian convergence, scale factor, zones, tile ids.
+//! - [`scan`]: one radar's detections at one time, where the radar sits, which detections to keep.
+//! - [`odometry`]: the vehicle's relative trajectory, interpolated at scan times.
+//! - [`drive`]: one recorded drive, as a value.
+//! - [`doppler`]: ego-velocity from radial speeds and the rejection of movers.
+//! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
+//! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
+//! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec.
+//! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
+//! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
+//! - [`align`]: `fast_global_align`, its engine, the refinement and the verdict.
+//!
+//! Frames: the map is UTM metres (`f64`), x east, y north; the body is x forward, y left; yaw is
+//! radians, counter-clockwise from east (of the grid inside this crate, see [`geo`]).
+
+pub mod agreement;
+pub mod batch;
+pub mod doppler;
+pub mod drive;
+pub mod evidence;
+pub mod geo;
+pub mod odometry;
+pub mod pose;
+pub mod scan;
+pub mod tile;

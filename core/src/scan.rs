@@ -1,0 +1,172 @@
+//! One radar scan, the place of the radar on the vehicle, and which detections are kept.
+
+use crate::pose::Pose2;
+
+/// Detections of one sensor at one time, as columns of equal length.
+///
+/// `radial_speed_mps` and `rcs_dbsm` may be empty when the sensor does not measure them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Scan {
+    /// Index into the vehicle's list of sensor mounts.
+    pub sensor: usize,
+    /// Time of the scan, microseconds since the Unix epoch (UTC).
+    pub time_us: i64,
+    /// Range, metres.
+    pub range_m: Vec<f32>,
+    /// Azimuth, radians, counter-clockwise from the sensor's boresight.
+    pub azimuth_rad: Vec<f32>,
+    /// Radial speed relative to the sensor, metres per second, positive away from it.
+    pub radial_speed_mps: Vec<f32>,
+    /// Radar cross section, decibel square metres.
+    pub rcs_dbsm: Vec<f32>,
+}
+
+/// Why a scan's columns cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Error {
+    /// Columns must be equally long; the optional ones may be empty.
+    #[error(
+        "column `{column}` has {found} values but `range_m` has {expected}; send columns of equal length"
+    )]
+    ColumnLength {
+        /// The offending column.
+        column: &'static str,
+        /// Its length.
+        found: usize,
+        /// The length of `range_m`.
+        expected: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("column `{column}` holds a value that is not finite at row {row}; drop such detections")]
+    NotFinite {
+        /// The offending column.
+        column: &'static str,
+        /// The row of the first such value.
+        row: usize,
+    },
+    /// A range is negative.
+    #[error("`range_m` is negative at row {row}; ranges are distances from the sensor")]
+    NegativeRange {
+        /// The row of the first such value.
+        row: usize,
+    },
+}
+
+impl Scan {
+    /// Number of detections.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.range_m.len()
+    }
+
+    /// True when nothing was detected.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.range_m.is_empty()
+    }
+
+    /// The detection's place in the sensor's frame, metres (x along the boresight, y left).
+    #[must_use]
+    pub fn sensor_point(&self, row: usize) -> [f64; 2] {
+        let (range, azimuth) = (f64::from(self.range_m[row]), f64::from(self.azimuth_rad[row]));
+        [range * azimuth.cos(), range * azimuth.sin()]
+    }
+
+    /// Checks lengths, finiteness and the sign of the ranges.
+    ///
+    /// # Errors
+    /// The first column that breaks a rule.
+    pub fn validate(&self) -> Result<(), Error> {
+        let expected = self.range_m.len();
+        let columns = [
+            ("range_m", &self.range_m, true),
+            ("azimuth_rad", &self.azimuth_rad, true),
+            ("radial_speed_mps", &self.radial_speed_mps, false),
+            ("rcs_dbsm", &self.rcs_dbsm, false),
+        ];
+        for (column, values, required) in columns {
+            let found = values.len();
+            if found != expected && (required || found != 0) {
+                return Err(Error::ColumnLength { column, found, expected });
+            }
+            if let Some(row) = values.iter().position(|v| !v.is_finite()) {
+                return Err(Error::NotFinite { column, row });
+            }
+        }
+        match self.range_m.iter().position(|r| *r < 0.0) {
+            Some(row) => Err(Error::NegativeRange { row }),
+            None => Ok(()),
+        }
+    }
+
+    /// Keeps the rows for which `keep` says so, in order.
+    pub fn retain(&mut self, mut keep: impl FnMut(&Self, usize) -> bool) {
+        let kept: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
+        let filter = |column: &mut Vec<f32>| {
+            let mut rows = kept.iter();
+            column.retain(|_| rows.next().copied().unwrap_or(false));
+        };
+        filter(&mut self.range_m);
+        filter(&mut self.azimuth_rad);
+        filter(&mut self.radial_speed_mps);
+        filter(&mut self.rcs_dbsm);
+    }
+}
+
+/// Where a radar sits on the body: metres from the body's origin, boresight yaw from forward.
+pub type Mount = Pose2;
+
+/// Which detections are kept for mapping and localization (paper, Sec. "Mapping").
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gate {
+    /// Scans taken slower than this are dropped, metres per second: clutter is intense at rest.
+    pub min_speed_mps: f64,
+    /// Detections farther than this are dropped, metres: they are mostly clutter.
+    pub max_range_m: f64,
+    /// Detections whose radial speed differs more than this from a stationary target's are
+    /// dropped as movers, metres per second.
+    pub max_doppler_residual_mps: f64,
+}
+
+impl Default for Gate {
+    fn default() -> Self {
+        Self { min_speed_mps: 1.0, max_range_m: 50.0, max_doppler_residual_mps: 0.5 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scan() -> Scan {
+        Scan { range_m: vec![1.0, 2.0, 60.0], azimuth_rad: vec![0.0, 0.5, -0.5], ..Scan::default() }
+    }
+
+    #[test]
+    fn optional_columns_may_be_missing_but_not_short() {
+        let mut s = scan();
+        assert_eq!(s.validate(), Ok(()));
+        s.rcs_dbsm = vec![1.0];
+        assert_eq!(s.validate(), Err(Error::ColumnLength { column: "rcs_dbsm", found: 1, expected: 3 }));
+    }
+
+    #[test]
+    fn bad_values_are_named_with_their_row() {
+        let mut s = scan();
+        s.azimuth_rad[1] = f32::NAN;
+        assert_eq!(s.validate(), Err(Error::NotFinite { column: "azimuth_rad", row: 1 }));
+        let mut s = scan();
+        s.range_m[2] = -1.0;
+        assert_eq!(s.validate(), Err(Error::NegativeRange { row: 2 }));
+    }
+
+    #[test]
+    fn retain_filters_every_column_that_is_there() {
+        let mut s = scan();
+        s.radial_speed_mps = vec![-1.0, -2.0, -3.0];
+        s.retain(|s, row| s.range_m[row] < 50.0);
+        assert_eq!(s.range_m, [1.0, 2.0]);
+        assert_eq!(s.radial_speed_mps, [-1.0, -2.0]);
+        assert!(s.rcs_dbsm.is_empty());
+    }
+}

@@ -1,0 +1,11 @@
+//! The contract of Echofix, generated from `proto/echofix/v1/*.proto`, and nothing else.
+//!
+//! The `.proto` files are the reference: every field says its unit, frame and sign there.
+
+/// Version 1 of the contract.
+pub mod v1 {
+    tonic::include_proto!("echofix.v1");
+
+    /// The compiled `.proto` files, for server reflection and self-describing logs.
+    pub const FILE_DESCRIPTOR_SET: &[u8] = tonic::include_file_descriptor_set!("echofix.v1");
+}

@@ -1,0 +1,129 @@
+//! The last fixes and uploads, for operators to watch.
+//!
+//! Kept in memory only, bounded, and without any vehicle's name: a feed, not a record.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use tokio::sync::broadcast;
+
+/// Events kept for a page that opens late.
+const KEPT: usize = 500;
+
+/// An answer to a localization request.
+#[derive(Debug, Clone, Serialize)]
+pub struct FixEvent {
+    /// Microseconds since the Unix epoch at which the service answered.
+    pub answered_us: i64,
+    /// The verdict, in the contract's words without their prefix: `USABLE`, `AMBIGUOUS`, ...
+    pub status: &'static str,
+    /// In words, what the verdict rests on.
+    pub reason: String,
+    /// Corrected position, degrees north.
+    pub latitude_deg: f64,
+    /// Corrected position, degrees east.
+    pub longitude_deg: f64,
+    /// Corrected heading, radians counter-clockwise from true east.
+    pub yaw_rad: f64,
+    /// The prior's position, degrees north.
+    pub prior_latitude_deg: f64,
+    /// The prior's position, degrees east.
+    pub prior_longitude_deg: f64,
+    /// Distance from the prior, metres.
+    pub correction_m: f64,
+    /// Share of the batch that lies on mapped structure, 0 to 1.
+    pub matched_fraction: f64,
+    /// Horizontal protection level, metres; absent when not valid.
+    pub protection_m: Option<f64>,
+    /// Milliseconds spent aligning.
+    pub align_ms: f64,
+}
+
+/// An upload that was counted or refused.
+#[derive(Debug, Clone, Serialize)]
+pub struct UploadEvent {
+    /// Microseconds since the Unix epoch at which the service answered.
+    pub answered_us: i64,
+    /// The upload's id.
+    pub upload_id: String,
+    /// `COUNTED`, `DUPLICATE` or the reason of the refusal.
+    pub outcome: String,
+    /// Detections that count.
+    pub detections_counted: u64,
+    /// Detections left out.
+    pub detections_dropped: u64,
+    /// Tiles that learn from it.
+    pub tiles: usize,
+    /// Share of its detections that lie on structure the map already had, 0 to 1; absent where
+    /// there was no map.
+    pub agreement: Option<f64>,
+}
+
+/// The two feeds.
+pub struct Feed {
+    /// Fixes.
+    pub fixes: Channel<FixEvent>,
+    /// Uploads.
+    pub uploads: Channel<UploadEvent>,
+}
+
+impl Default for Feed {
+    fn default() -> Self {
+        Self { fixes: Channel::new(), uploads: Channel::new() }
+    }
+}
+
+/// A bounded memory of events and a broadcast of new ones.
+pub struct Channel<T> {
+    recent: Mutex<VecDeque<T>>,
+    live: broadcast::Sender<T>,
+}
+
+impl<T: Clone> Channel<T> {
+    fn new() -> Self {
+        Self { recent: Mutex::new(VecDeque::with_capacity(KEPT)), live: broadcast::Sender::new(256) }
+    }
+
+    /// Adds an event and sends it to whoever listens.
+    pub fn publish(&self, event: T) {
+        let mut recent = self.lock();
+        if recent.len() == KEPT {
+            recent.pop_front();
+        }
+        recent.push_back(event.clone());
+        // Nobody listening is no error.
+        let _ = self.live.send(event);
+    }
+
+    /// The newest events, at most `limit`, oldest first.
+    pub fn recent(&self, limit: usize) -> Vec<T> {
+        let recent = self.lock();
+        recent.iter().skip(recent.len().saturating_sub(limit)).cloned().collect()
+    }
+
+    /// Events from now on; a slow listener misses some.
+    pub fn subscribe(&self) -> broadcast::Receiver<T> {
+        self.live.subscribe()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, VecDeque<T>> {
+        // A panic while holding the lock leaves a queue that is still a queue.
+        self.recent.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_memory_is_bounded_and_keeps_the_newest() {
+        let channel = Channel::new();
+        let mut listener = channel.subscribe();
+        (0..KEPT + 10).for_each(|i| channel.publish(i));
+        assert_eq!(channel.recent(2), [KEPT + 8, KEPT + 9]);
+        assert_eq!(channel.recent(usize::MAX).len(), KEPT);
+        assert!(listener.try_recv().is_err(), "a listener that slept is told that it missed events");
+    }
+}

@@ -1,0 +1,97 @@
+//! What the service counts, in OpenMetrics text. No label ever names a vehicle.
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::registry::{Registry, Unit};
+
+/// What came of a request: a verdict, `COUNTED`, or the reason of a refusal.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+pub struct Outcome {
+    /// One of a fixed set of words.
+    pub outcome: &'static str,
+}
+
+/// The service's metrics.
+pub struct Metrics {
+    registry: Registry,
+    /// Localization requests by outcome.
+    pub fixes: Family<Outcome, Counter>,
+    /// Uploads by outcome.
+    pub uploads: Family<Outcome, Counter>,
+    /// Seconds spent aligning a batch.
+    pub align_seconds: Histogram,
+    /// Seconds a localization request waited for a compute slot.
+    pub queue_seconds: Histogram,
+    /// Seconds from an upload's last byte to its acknowledgement.
+    pub commit_seconds: Histogram,
+    /// Windows found in the cache and built anew, by outcome `hit` and `miss`.
+    pub windows: Family<Outcome, Counter>,
+    /// Epoch of the map that is served.
+    pub epoch: Gauge,
+    /// Contributions in the journal that are not folded yet.
+    pub unfolded: Gauge,
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let seconds = || Histogram::new(exponential_buckets(0.000_5, 2.0, 16));
+        let mut metrics = Self {
+            registry: Registry::with_prefix("echofix"),
+            fixes: Family::default(),
+            uploads: Family::default(),
+            align_seconds: seconds(),
+            queue_seconds: seconds(),
+            commit_seconds: seconds(),
+            windows: Family::default(),
+            epoch: Gauge::default(),
+            unfolded: Gauge::default(),
+        };
+        metrics.register();
+        metrics
+    }
+}
+
+impl Metrics {
+    fn register(&mut self) {
+        let r = &mut self.registry;
+        r.register("fixes", "Localization requests by outcome", self.fixes.clone());
+        r.register("uploads", "Uploads by outcome", self.uploads.clone());
+        let mut seconds = |name, help, metric: &Histogram| {
+            r.register_with_unit(name, help, Unit::Seconds, metric.clone());
+        };
+        seconds("align", "Time spent aligning a batch", &self.align_seconds);
+        seconds("queue", "Time a localization request waited for a compute slot", &self.queue_seconds);
+        seconds("commit", "Time from an upload's last byte to its acknowledgement", &self.commit_seconds);
+        r.register("windows", "Windows found in the cache and built anew", self.windows.clone());
+        r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
+        r.register("unfolded_contributions", "Contributions in the journal not folded yet", self.unfolded.clone());
+    }
+
+    /// All metrics as OpenMetrics text.
+    #[must_use]
+    pub fn render(&self) -> String {
+        let mut text = String::new();
+        encode(&mut text, &self.registry).expect("writing to a string cannot fail");
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_counted_is_rendered() {
+        let metrics = Metrics::default();
+        metrics.fixes.get_or_create(&Outcome { outcome: "USABLE" }).inc();
+        metrics.align_seconds.observe(0.01);
+        let text = metrics.render();
+        assert!(text.contains("echofix_fixes_total{outcome=\"USABLE\"} 1"), "{text}");
+        assert!(text.contains("echofix_align_seconds_count 1"), "{text}");
+        assert!(text.ends_with("# EOF\n"), "{text}");
+    }
+}

@@ -1,0 +1,159 @@
+//! The map and the journal it is folded from.
+//!
+//! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
+//! from the journal in its order, and can be folded again from nothing. The embedded default keeps
+//! the journal in checksummed segment files and the tiles in sled.
+
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use echofix_core::evidence::{Contribution, Pass};
+use echofix_core::geo::{TileId, Zone};
+use echofix_core::tile::Tile;
+use tokio::sync::watch;
+use uuid::Uuid;
+
+/// Why the store could not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The disk refused.
+    #[error("{doing}: {source}")]
+    Io {
+        /// What was being done.
+        doing: &'static str,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// The tile store refused.
+    #[error("tile store: {0}")]
+    Tiles(#[from] sled::Error),
+    /// Stored bytes do not pass their checks.
+    #[error("{what} is damaged: {reason}")]
+    Damaged {
+        /// Which record or tile.
+        what: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The store stopped accepting writes after a failure that may have lost one.
+    #[error("the journal stopped after a write failed: {0}; restart the service once the disk is sound")]
+    Stopped(String),
+}
+
+/// An upload as the journal keeps it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Upload {
+    /// Named by the contributor; counts once.
+    pub id: Uuid,
+    /// Who and when.
+    pub pass: Pass,
+    /// What it tells the map. Near a zone border it holds the tiles of both zones.
+    pub contribution: Contribution,
+    /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
+    pub answer: Vec<u8>,
+}
+
+/// What became of a commit.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Receipt {
+    /// Counted, and on disk.
+    Counted {
+        /// The map shows it from this epoch on.
+        epoch: u64,
+    },
+    /// This id was counted before.
+    Duplicate {
+        /// The map shows it from this epoch on.
+        epoch: u64,
+        /// The answer given then.
+        answer: Vec<u8>,
+    },
+}
+
+/// A tile as it is served.
+#[derive(Debug, Clone)]
+pub struct StoredTile {
+    /// Epoch of the tile's last change.
+    pub version: u64,
+    /// Its evidence.
+    pub tile: Arc<Tile>,
+    /// The same in the codec of [`echofix_core::tile`].
+    pub encoded: Bytes,
+}
+
+/// What the catalog says about a tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TileInfo {
+    /// Which tile.
+    pub id: TileId,
+    /// Epoch of its last change.
+    pub version: u64,
+    /// Occupied cells.
+    pub cells: u32,
+    /// Last UTC day anything was seen, counted from the Unix epoch.
+    pub newest_day: u16,
+    /// Encoded size.
+    pub bytes: u32,
+}
+
+/// The whole map in numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Tiles.
+    pub tiles: u64,
+    /// Occupied cells.
+    pub cells: u64,
+    /// Bytes of encoded tiles.
+    pub bytes: u64,
+    /// Uploads counted since the journal began.
+    pub uploads: u64,
+    /// Last UTC day anything was seen, counted from the Unix epoch.
+    pub newest_day: u16,
+}
+
+/// How far the journal reaches and how far it is folded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Progress {
+    /// Epoch of the map that is served: the number of the last contribution folded into it.
+    pub epoch: u64,
+    /// Number of the last contribution in the journal.
+    pub journaled: u64,
+}
+
+/// The map and its journal. Every call may block on the disk: keep it off the async threads.
+pub trait MapStore: Send + Sync {
+    /// Writes an upload to the journal and syncs it, exactly once by its id. Folding follows in
+    /// the background, see [`MapStore::progress`].
+    ///
+    /// # Errors
+    /// When it is not certain that the upload is on disk; it must not be acknowledged then.
+    fn commit(&self, upload: Upload) -> Result<Receipt, Error>;
+
+    /// What was answered to an upload id that was counted before.
+    ///
+    /// # Errors
+    /// When the disk refuses or the record is damaged.
+    fn counted(&self, id: Uuid) -> Result<Option<Receipt>, Error>;
+
+    /// One tile; `None` where nothing was ever seen.
+    ///
+    /// # Errors
+    /// When the disk refuses or the tile is damaged.
+    fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error>;
+
+    /// The catalog's entries of a zone's block of tiles, in order of their id.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn catalog(&self, zone: Zone, x: RangeInclusive<i32>, y: RangeInclusive<i32>) -> Result<Vec<TileInfo>, Error>;
+
+    /// The zones that hold any tile.
+    fn zones(&self) -> Vec<Zone>;
+
+    /// The whole map in numbers.
+    fn totals(&self) -> Totals;
+
+    /// Follows how far the journal reaches and how far it is folded.
+    fn progress(&self) -> watch::Receiver<Progress>;
+}

@@ -1,0 +1,1 @@
+//! A seeded radar city.
