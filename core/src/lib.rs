@@ -21,6 +21,7 @@
 //! radians, counter-clockwise from east (of the grid inside this crate, see [`geo`]).
 
 pub mod agreement;
+pub mod align;
 pub mod batch;
 pub mod doppler;
 pub mod drive;
@@ -30,3 +31,4 @@ pub mod odometry;
 pub mod pose;
 pub mod scan;
 pub mod tile;
+pub mod window;

@@ -230,7 +230,9 @@ mod tests {
 
     fn folded(uploads: &[(Pass, Vec<crate::evidence::CellHits>)]) -> (Tile, Ledger) {
         let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-        uploads.iter().for_each(|(pass, hits)| tile.fold(&mut ledger, *pass, hits));
+        for (pass, hits) in uploads {
+            tile.fold(&mut ledger, *pass, hits);
+        }
         (tile, ledger)
     }
 

@@ -1,0 +1,205 @@
+//! The map around a prior, stitched from tiles, ready to be aligned against.
+//!
+//! Windows lie on a coarse lattice, so that requests from the same neighbourhood share one: its
+//! images and its spectrum are computed once.
+
+use std::collections::BTreeSet;
+
+use crate::evidence::Cell;
+use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use crate::tile::Tile;
+
+/// Step of the lattice of window centres, cells.
+const LATTICE_CELLS: i64 = 128;
+
+/// Which square of the map: the key of a cached window.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Frame {
+    /// The zone.
+    pub zone: Zone,
+    /// The south-west cell.
+    pub origin: CellIndex,
+    /// Cells along a side.
+    pub side: usize,
+}
+
+impl Frame {
+    /// The square to align against around map metres: it holds `extent_m` in every direction of
+    /// every pose within `search_m` of the place, plus the lattice's slack. Its side is a length
+    /// the FFT likes.
+    #[must_use]
+    pub fn around(zone: Zone, place: [f64; 2], extent_m: f64, search_m: f64) -> Self {
+        let reach = ((extent_m + search_m) / CELL_M).ceil() as usize + 1;
+        let side = fft_length(2 * reach + LATTICE_CELLS as usize);
+        let at = CellIndex::of(place);
+        let snap = |c: i64| (c + LATTICE_CELLS / 2).div_euclid(LATTICE_CELLS) * LATTICE_CELLS;
+        let half = side as i64 / 2;
+        Self { zone, origin: CellIndex { x: snap(at.x) - half, y: snap(at.y) - half }, side }
+    }
+
+    /// Tiles that touch the square.
+    pub fn tiles(&self) -> impl Iterator<Item = TileId> + use<> {
+        let reach = self.side as i64 - 1;
+        let last = CellIndex { x: self.origin.x + reach, y: self.origin.y + reach };
+        let (low, high) = (TileId::of_cell(self.zone, self.origin), TileId::of_cell(self.zone, last));
+        let zone = self.zone;
+        (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| TileId { zone, y, x }))
+    }
+
+    /// Map metres to cells from the south-west corner (a fraction within a cell is kept).
+    #[must_use]
+    pub fn to_cells(&self, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
+        [x_m / CELL_M - self.origin.x as f64, y_m / CELL_M - self.origin.y as f64]
+    }
+
+    /// Cells from the south-west corner to map metres.
+    #[must_use]
+    pub fn to_metres(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [(x + self.origin.x as f64) * CELL_M, (y + self.origin.y as f64) * CELL_M]
+    }
+}
+
+/// The shortest even length of at least `least` with no prime factor above 5.
+fn fft_length(least: usize) -> usize {
+    let smooth = |mut n: usize| {
+        for p in [2, 3, 5] {
+            while n.is_multiple_of(p) {
+                n /= p;
+            }
+        }
+        n == 1
+    };
+    let mut n = least.next_multiple_of(2);
+    while !smooth(n) {
+        n += 2;
+    }
+    n
+}
+
+/// An occupied cell of a window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowCell {
+    /// Column, cells from the window's west side.
+    pub x: u16,
+    /// Row, cells from the window's south side.
+    pub y: u16,
+    /// What the map knows of it.
+    pub cell: Cell,
+}
+
+impl WindowCell {
+    /// Mean place of its hits, cells from the window's south-west corner.
+    #[must_use]
+    pub fn centroid(&self) -> [f64; 2] {
+        let [fx, fy] = self.cell.centroid();
+        [f64::from(self.x) + fx, f64::from(self.y) + fy]
+    }
+}
+
+/// The map's evidence in a square.
+#[derive(Debug, Clone)]
+pub struct Window {
+    /// Which square.
+    pub frame: Frame,
+    /// Occupied cells.
+    pub cells: Vec<WindowCell>,
+    /// Last UTC day anything was seen, counted from the Unix epoch; 0 when nothing was.
+    pub newest_day: u16,
+    present: BTreeSet<TileId>,
+}
+
+impl Window {
+    /// Stitches a window from the tiles that exist in its square.
+    #[must_use]
+    pub fn stitch<'a>(frame: Frame, tiles: impl IntoIterator<Item = (TileId, &'a Tile)>) -> Self {
+        let mut window = Self { frame, cells: Vec::new(), newest_day: 0, present: BTreeSet::new() };
+        for (id, tile) in tiles {
+            window.newest_day = window.newest_day.max(tile.newest_day());
+            window.present.insert(id);
+            let first = id.first_cell();
+            let (dx, dy) = (first.x - frame.origin.x, first.y - frame.origin.y);
+            let side = 0..frame.side as i64;
+            window.cells.extend(tile.cells().iter().filter_map(|(index, cell)| {
+                let x = dx + i64::from(*index) % CELLS_PER_TILE as i64;
+                let y = dy + i64::from(*index) / CELLS_PER_TILE as i64;
+                let inside = side.contains(&x) && side.contains(&y);
+                inside.then_some(WindowCell { x: x as u16, y: y as u16, cell: *cell })
+            }));
+        }
+        window
+    }
+
+    /// Number of tiles that exist in the square.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.present.len()
+    }
+
+    /// Share of points, map metres, that lie in a tile that exists; 0 without points.
+    #[must_use]
+    pub fn coverage(&self, points: impl IntoIterator<Item = [f64; 2]>) -> f64 {
+        let (mut covered, mut all) = (0_u32, 0_u32);
+        for point in points {
+            all += 1;
+            covered += u32::from(self.present.contains(&TileId::of(self.frame.zone, point)));
+        }
+        if all == 0 { 0.0 } else { f64::from(covered) / f64::from(all) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn zone() -> Zone {
+        Zone::from_epsg(32614).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn a_window_holds_every_pose_searched_with_its_batch(x in -1e5..1e6_f64, y in 0.0..9e6_f64, search in 0.1..30.0_f64) {
+            let frame = Frame::around(zone(), [x, y], 50.0, search);
+            for sign in [-1.0, 1.0] {
+                let [u, v] = frame.to_cells([x + sign * (50.0 + search), y + sign * (50.0 + search)]);
+                prop_assert!(u >= 0.0 && v >= 0.0 && u < frame.side as f64 && v < frame.side as f64);
+            }
+            let tiles: Vec<_> = frame.tiles().collect();
+            prop_assert!(tiles.contains(&TileId::of(zone(), [x, y])));
+            let back = frame.to_metres(frame.to_cells([x, y]));
+            prop_assert!((back[0] - x).abs() < 1e-6 && (back[1] - y).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn neighbours_share_a_window() {
+        let a = Frame::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
+        let b = Frame::around(zone(), [600_003.9, 3_300_003.9], 50.0, 6.0);
+        assert_eq!(a, b);
+        assert_eq!(a.side, 1250);
+    }
+
+    #[test]
+    fn cells_keep_their_place_on_the_map() {
+        let place = [600_010.03, 3_300_020.07];
+        let id = TileId::of(zone(), place);
+        let (cell, first) = (CellIndex::of(place), id.first_cell());
+        let index = ((cell.y - first.y) * 512 + (cell.x - first.x)) as u32;
+        let tile = Tile::from_cells(vec![(
+            index,
+            Cell { hits: 1, passes: 1, last_day: 9, offset_sum: [76, 179], ..Cell::default() },
+        )])
+        .unwrap();
+        let frame = Frame::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
+        let window = Window::stitch(frame, [(id, &tile)]);
+        let [x, y] = frame.to_metres(window.cells[0].centroid());
+        assert!((x - place[0]).abs() < 1e-3 && (y - place[1]).abs() < 1e-3, "{x} {y}");
+        assert_eq!((window.tiles(), window.newest_day), (1, 9));
+        assert!((window.coverage([place, [700_000.0, 3_300_000.0]]) - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn lengths_are_even_and_smooth() {
+        assert_eq!([1247, 1250, 1251, 7].map(fft_length), [1250, 1250, 1280, 8]);
+    }
+}
