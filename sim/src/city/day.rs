@@ -1,0 +1,91 @@
+//! The town on one day.
+
+use std::ops::ControlFlow;
+
+use super::{City, Mover, Reflector, Traveller, Vehicle, parking, traffic};
+use crate::index::{PointIndex, SegmentIndex};
+use crate::plane::Point;
+
+/// How much of a tall reflector's signal passes one diagonal of a parked car: radar sees through
+/// windows, under the floor and over the bonnet.
+const THROUGH_A_CAR: f64 = 0.6;
+
+/// The town with the parked cars and the traffic of one day.
+#[derive(Debug, Clone)]
+pub struct CityDay<'a> {
+    city: &'a City,
+    day: u32,
+    parked: Vec<Vehicle>,
+    travellers: Vec<Traveller>,
+    reflectors: Vec<Reflector>,
+    reflector_index: PointIndex,
+    diagonals: SegmentIndex,
+}
+
+impl<'a> CityDay<'a> {
+    pub(super) fn new(city: &'a City, day: u32) -> Self {
+        let parked = parking::parked(city.slots(), city.params(), day);
+        let reflectors: Vec<_> = parked.iter().flat_map(Vehicle::reflectors).collect();
+        let places: Vec<Point> = reflectors.iter().map(|r| r.at).collect();
+        Self {
+            city,
+            day,
+            travellers: traffic::travellers(city.network(), city.params(), day),
+            reflector_index: PointIndex::new(&places),
+            diagonals: SegmentIndex::new(parked.iter().flat_map(Vehicle::diagonals).collect()),
+            reflectors,
+            parked,
+        }
+    }
+
+    /// The town.
+    #[must_use]
+    pub fn city(&self) -> &'a City {
+        self.city
+    }
+
+    /// The day's number.
+    #[must_use]
+    pub fn day(&self) -> u32 {
+        self.day
+    }
+
+    /// The cars that stand in the slots today.
+    #[must_use]
+    pub fn parked(&self) -> &[Vehicle] {
+        &self.parked
+    }
+
+    /// The vehicles on the move at a time.
+    pub fn movers(&self, time_us: i64) -> impl Iterator<Item = Mover> + '_ {
+        self.travellers.iter().map(move |t| t.at(time_us))
+    }
+
+    /// Calls `visit` for a superset of the stationary reflectors within `radius_m` of `centre`, in
+    /// buckets `may_hold` accepts (see [`PointIndex::visit`]), always in the same order.
+    pub(crate) fn visit(
+        &self,
+        centre: Point,
+        radius_m: f64,
+        may_hold: impl Fn(Point, f64) -> bool,
+        mut visit: impl FnMut(&Reflector),
+    ) {
+        let fixed = &self.city.structure().reflectors;
+        self.city.reflector_index().visit(centre, radius_m, &may_hold, |item| visit(&fixed[item]));
+        self.reflector_index.visit(centre, radius_m, &may_hold, |item| visit(&self.reflectors[item]));
+    }
+
+    /// The share of a reflector's signal that walls and parked cars let pass on its way to a point.
+    #[must_use]
+    pub fn transmission(&self, from: Point, reflector: &Reflector) -> f64 {
+        if self.city.walls().blocks(from, reflector.at) {
+            return 0.0;
+        }
+        let mut share = 1.0;
+        self.diagonals.visit(from, reflector.at, |_| {
+            share *= if reflector.is_low() { 0.0 } else { THROUGH_A_CAR };
+            if share < 0.05 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        share
+    }
+}

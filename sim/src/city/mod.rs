@@ -1,0 +1,120 @@
+//! The town: streets, what stands along them on every day, and what is there on one day.
+
+mod day;
+mod fronts;
+mod furniture;
+mod params;
+mod parking;
+mod streets;
+mod structure;
+mod traffic;
+mod vehicle;
+
+pub use day::CityDay;
+pub use params::CityParams;
+pub use parking::Slot;
+pub use streets::{LANE_M, Network, Street};
+pub use structure::{Kind, Reflector, Structure};
+pub use traffic::{Mover, Traveller};
+pub use vehicle::Vehicle;
+
+use crate::error::Error;
+use crate::index::{PointIndex, SegmentIndex};
+use crate::plane::Point;
+use crate::site::Site;
+
+/// A town. Places are in city metres (see [`Site`]).
+#[derive(Debug, Clone)]
+pub struct City {
+    params: CityParams,
+    site: Site,
+    network: Network,
+    structure: Structure,
+    slots: Vec<Slot>,
+    walls: SegmentIndex,
+    reflectors: PointIndex,
+}
+
+impl City {
+    /// Lays a town out.
+    ///
+    /// # Errors
+    /// When a parameter is out of range or the origin is not covered by UTM.
+    pub fn generate(params: &CityParams) -> Result<Self, Error> {
+        params.validate()?;
+        let site = Site::new(params.origin)?;
+        let network = Network::generate(params);
+        let mut structure = Structure::default();
+        for (index, frontage) in network.frontages().into_iter().enumerate() {
+            fronts::build(&mut structure, frontage, params.seed, index);
+        }
+        let mut slots = Vec::new();
+        for (index, street) in network.streets().iter().enumerate() {
+            furniture::build(&mut structure, street, params.seed, index);
+            slots.extend(parking::slots(street, params.seed, index));
+        }
+        let places: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
+        Ok(Self {
+            params: params.clone(),
+            site,
+            network,
+            slots,
+            walls: SegmentIndex::new(structure.walls.clone()),
+            reflectors: PointIndex::new(&places),
+            structure,
+        })
+    }
+
+    /// What the town was made from.
+    #[must_use]
+    pub fn params(&self) -> &CityParams {
+        &self.params
+    }
+
+    /// Where the town lies on the globe.
+    #[must_use]
+    pub fn site(&self) -> &Site {
+        &self.site
+    }
+
+    /// Intersections and streets.
+    #[must_use]
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// Length of all streets, metres.
+    #[must_use]
+    pub fn streets_m(&self) -> f64 {
+        self.network.streets().iter().map(Street::length_m).sum()
+    }
+
+    /// Walls and reflectors that are there on every day: the ground truth of a map.
+    #[must_use]
+    pub fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
+    /// The places to park.
+    #[must_use]
+    pub fn slots(&self) -> &[Slot] {
+        &self.slots
+    }
+
+    /// The town with the parked cars and the traffic of one day, counted from any epoch.
+    #[must_use]
+    pub fn on_day(&self, day: u32) -> CityDay<'_> {
+        CityDay::new(self, day)
+    }
+
+    pub(crate) fn walls(&self) -> &SegmentIndex {
+        &self.walls
+    }
+
+    pub(crate) fn reflector_index(&self) -> &PointIndex {
+        &self.reflectors
+    }
+}
+
+#[cfg(test)]
+mod tests;
