@@ -10,7 +10,7 @@ use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
 use crate::tile::Tile;
 
 /// Step of the lattice of window centres, cells.
-const LATTICE_CELLS: i64 = 128;
+const LATTICE_CELLS: i64 = 64;
 
 /// Which square of the map: the key of a cached window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -59,8 +59,13 @@ impl Frame {
     }
 }
 
-/// The shortest even length of at least `least` with no prime factor above 5.
+/// The shortest length of at least `least` that transforms fast: a multiple of 48 with no prime
+/// factor above 5.
+///
+/// The vectorised butterflies are for powers of two and three; 1200 takes little more than half the
+/// time of 1250.
 fn fft_length(least: usize) -> usize {
+    const STEP: usize = 48;
     let smooth = |mut n: usize| {
         for p in [2, 3, 5] {
             while n.is_multiple_of(p) {
@@ -69,9 +74,9 @@ fn fft_length(least: usize) -> usize {
         }
         n == 1
     };
-    let mut n = least.next_multiple_of(2);
+    let mut n = least.next_multiple_of(STEP);
     while !smooth(n) {
-        n += 2;
+        n += STEP;
     }
     n
 }
@@ -176,7 +181,7 @@ mod tests {
         let a = Frame::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
         let b = Frame::around(zone(), [600_003.9, 3_300_003.9], 50.0, 6.0);
         assert_eq!(a, b);
-        assert_eq!(a.side, 1250);
+        assert_eq!(a.side, 1200);
     }
 
     #[test]
@@ -199,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_are_even_and_smooth() {
-        assert_eq!([1247, 1250, 1251, 7].map(fft_length), [1250, 1250, 1280, 8]);
+    fn lengths_transform_fast() {
+        assert_eq!([1, 1186, 1200, 1201, 1666].map(fft_length), [48, 1200, 1200, 1296, 1728]);
     }
 }

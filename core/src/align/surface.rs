@@ -4,15 +4,17 @@ use crate::geo::CELL_M;
 use crate::window::Window;
 
 /// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
-const SIGMA_M: f64 = 0.25;
-/// Hits per cell at which a weight starts to grow like a logarithm.
-const KNEE: f32 = 0.03;
+const SIGMA_M: f64 = 0.2;
+/// Smoothed hits, for each pass that a typical hit's cell has seen, at which a weight starts to grow
+/// like a logarithm: a crowd's map holds as many times the hits of a single survey's, and as many
+/// times the clutter.
+const KNEE_PER_PASS: f64 = 0.3;
 /// The kernel ends here, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
 /// Steps of a cell to which a kernel's centre is rounded.
 const PHASES: usize = 8;
 
-/// log(1 + smoothed hits / knee) at the centre of every cell of a window.
+/// `log(1 + smoothed hits / knee)` at the centre of every cell of a window.
 ///
 /// Unlike occupancy it neither saturates after a few hits nor lets one bright cell outvote a wall.
 pub struct Surface {
@@ -39,8 +41,9 @@ impl Surface {
                 }
             }
         }
+        let knee = (KNEE_PER_PASS * typical_passes(window)) as f32;
         for value in values.iter_mut().filter(|v| **v > 0.0) {
-            *value = (1.0 + *value / KNEE).ln();
+            *value = (1.0 + *value / knee).ln();
         }
         Self { side, values }
     }
@@ -67,6 +70,16 @@ impl Surface {
     pub fn bytes(&self) -> usize {
         self.values.len() * size_of::<f32>()
     }
+}
+
+/// Passes over the cell of a typical hit; 1 without hits.
+fn typical_passes(window: &Window) -> f64 {
+    let (mut hits, mut weighted) = (0.0, 0.0);
+    for cell in &window.cells {
+        hits += f64::from(cell.cell.hits);
+        weighted += f64::from(cell.cell.hits) * f64::from(cell.cell.passes);
+    }
+    if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 
 /// Gaussian kernels along one axis, one for each phase of the centre within its cell.
