@@ -1,6 +1,48 @@
-//! scaffold
+//! The vehicle's library: what drives along, and what makes, keeps and replays drives.
+//!
+//! The rooms, in reading order:
+//!
+//! - [`service`]: where the service is, and who the vehicle is to it.
+//! - [`vehicle`]: localizing without any network: the sliding window of scans and odometry, the
+//!   question to ask, the judgement of the answer, the fix carried on by odometry.
+//! - [`Localizer`]: sends the question, with a deadline and retries.
+//! - [`upload`]: contributing to the map: the recorder cuts a drive into uploads, the spool keeps them
+//!   on disk, the uploader sends them until each is acknowledged.
+//! - [`refusal`]: what a call came back with, typed.
+//! - [`backoff`]: how long to wait before asking again.
+//! - [`wire`]: between the values of [`echofix_core`] and the columns of the contract.
+//! - [`drivelog`]: drives on disk, as MCAP or CSV, and their replay.
+//! - [`import`]: other people's radar data as drives.
+//!
+//! Nothing here reads a clock but the waits and deadlines of calls, and the ids of uploads: time is
+//! what the sensors say.
+//!
+//! ```no_run
+//! use echofix_client::service::Service;
+//! use echofix_client::vehicle::{Config, Vehicle};
+//! use echofix_client::{Localizer, LocalizerOptions};
+//! # async fn drive(mounts: Vec<echofix_core::scan::Mount>) -> Result<(), Box<dyn std::error::Error>> {
+//! let localizer = Localizer::new(Service::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
+//! let mut vehicle = Vehicle::new(Config::default(), mounts);
+//! // vehicle.push_odometry(..), vehicle.push_scan(..), vehicle.push_pose(..), then once a second:
+//! let question = vehicle.question()?;
+//! let answer = localizer.ask(&question).await?;
+//! let fix = vehicle.accept(&question, &answer)?;
+//! # Ok(())
+//! # }
+//! ```
+
 pub mod backoff;
+pub mod drivelog;
+mod gate;
+pub mod import;
+mod localizer;
 pub mod refusal;
+pub mod service;
 #[cfg(test)]
 mod testing;
+pub mod upload;
+pub mod vehicle;
 pub mod wire;
+
+pub use localizer::{Localizer, Options as LocalizerOptions};

@@ -1,0 +1,63 @@
+//! `echofix import`: foreign radar data becomes a drive log.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::ValueEnum;
+use echofix_client::{drivelog, import};
+use echofix_core::drive::Drive;
+use echofix_core::scan::Scan;
+
+/// Arguments of `echofix import`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// What kind of data it is.
+    kind: Kind,
+    /// The folder that holds it.
+    from: PathBuf,
+    /// Where to write the log: a file ending in .mcap, or a folder for CSV.
+    out: PathBuf,
+}
+
+/// Foreign data that can be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// A piece of RADIATE: a spinning Navtech radar, decoded to points (`scans.csv.gz`, `poses.csv`).
+    Radiate,
+    /// A piece of comma2k19: the object tracks of a production car's radar.
+    Comma2k19,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When the data cannot be read or the log cannot be written.
+pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    let drive = match args.kind {
+        Kind::Radiate => import::radiate(&args.from)?,
+        Kind::Comma2k19 => import::comma2k19(&args.from)?,
+    };
+    drivelog::write(&args.out, &drive).with_context(|| format!("writing {}", args.out.display()))?;
+    report(&drive, &args.out, json);
+    Ok(())
+}
+
+/// Says what a written log holds.
+pub fn report(drive: &Drive, out: &Path, json: bool) {
+    let detections: usize = drive.scans.iter().map(Scan::len).sum();
+    let seconds = drive.scans.first().zip(drive.scans.last()).map_or(0.0, |(a, b)| (b.time_us - a.time_us) as f64 * 1e-6);
+    let metres = drive.odometry.travelled_m();
+    if json {
+        let report = serde_json::json!({
+            "out": out, "vehicle": drive.vehicle, "scans": drive.scans.len(), "detections": detections,
+            "duration_s": seconds, "travelled_m": metres,
+        });
+        println!("{report}");
+    } else {
+        println!(
+            "{}: {} scans with {detections} detections over {seconds:.1} s and {metres:.0} m",
+            out.display(),
+            drive.scans.len()
+        );
+    }
+}

@@ -1,0 +1,68 @@
+//! `echofix map`: drive logs go to the map.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use echofix_client::drivelog;
+use echofix_client::upload::Config as RecorderConfig;
+use echofix_core::scan::Gate;
+
+use super::ScanRange;
+use crate::contribute::{self, Contributed};
+use crate::progress;
+
+/// Arguments of `echofix map`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Drive logs: .mcap files or CSV folders.
+    #[arg(required = true)]
+    drives: Vec<PathBuf>,
+    /// Address of the service's gRPC port.
+    #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
+    server: String,
+    /// Where uploads wait until they are acknowledged; what is there from an earlier run is sent, too.
+    #[arg(long, default_value = "echofix-spool")]
+    spool: PathBuf,
+    /// Only these scans of each log, counted from 1, like 1-9.
+    #[arg(long)]
+    scans: Option<ScanRange>,
+    /// Detections farther away are dropped, metres.
+    #[arg(long, default_value_t = 50.0)]
+    max_range_m: f64,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When a log cannot be read, has no known poses, or the service does not take its uploads.
+pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+    let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
+    let config = RecorderConfig { gate, ..RecorderConfig::default() };
+    for path in &args.drives {
+        let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+        if let Some(scans) = &args.scans {
+            scans.apply(&mut drive);
+        }
+        let bar = progress::bar("uploading", 0, json);
+        let done = contribute::upload(&drive, &args.server, &args.spool, config, &bar).await?;
+        bar.finish_and_clear();
+        report(&path.display().to_string(), &done, json)?;
+    }
+    Ok(())
+}
+
+fn report(path: &str, done: &Contributed, json: bool) -> anyhow::Result<()> {
+    if json {
+        println!("{}", serde_json::json!({ "drive": path, "result": serde_json::to_value(done)? }));
+        return Ok(());
+    }
+    println!("{path}: {} uploads acknowledged with {} detections", done.uploads, done.detections);
+    println!(
+        "  left out: {} moving, {} too far, {} taken too slowly, {} without a good pose",
+        done.dropped_moving, done.dropped_too_far, done.dropped_too_slow, done.dropped_without_pose
+    );
+    if done.duplicates + done.refused > 0 {
+        println!("  {} were known already, {} were refused (see refused/ in the spool)", done.duplicates, done.refused);
+    }
+    Ok(())
+}

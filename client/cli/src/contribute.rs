@@ -1,0 +1,102 @@
+//! A drive goes to the map, through the vehicle's own recorder, spool and uploader.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use echofix_client::drivelog::{Event, replay};
+use echofix_client::service::Service;
+use echofix_client::upload::spool::{Limits, Spool};
+use echofix_client::upload::{Config as RecorderConfig, Options, Recorder, Uploader};
+use echofix_core::batch::Dropped;
+use echofix_core::drive::Drive;
+use indicatif::ProgressBar;
+use serde::Serialize;
+
+/// How long the service may take over the last uploads.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// What came of a drive's uploads.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Contributed {
+    /// Uploads acknowledged.
+    pub uploads: u64,
+    /// Of those, uploads that the service already had.
+    pub duplicates: u64,
+    /// Uploads the service refused for good; they stay in the spool's `refused/`.
+    pub refused: u64,
+    /// Detections recorded.
+    pub detections: u64,
+    /// Detections dropped because they were taken too slowly.
+    pub dropped_too_slow: u64,
+    /// Detections dropped because they were too far away.
+    pub dropped_too_far: u64,
+    /// Detections dropped because they moved.
+    pub dropped_moving: u64,
+    /// Detections dropped for want of a good pose.
+    pub dropped_without_pose: u64,
+}
+
+impl Contributed {
+    fn set_dropped(&mut self, dropped: Dropped) {
+        self.dropped_too_slow = dropped.too_slow;
+        self.dropped_too_far = dropped.too_far;
+        self.dropped_moving = dropped.moving;
+        self.dropped_without_pose = dropped.without_pose;
+    }
+}
+
+/// Uploads a drive and waits until the service has it.
+///
+/// # Errors
+/// When the drive has no reference poses, or the service does not take the uploads in time.
+pub async fn upload(
+    drive: &Drive,
+    server: &str,
+    spool: &Path,
+    config: RecorderConfig,
+    bar: &ProgressBar,
+) -> anyhow::Result<Contributed> {
+    if drive.reference.is_empty() {
+        bail!("the drive of `{}` has no reference poses; a map can only be made from known poses", drive.vehicle);
+    }
+    let spool = Spool::open(spool, Limits::default()).context("opening the upload spool")?;
+    let uploader = Uploader::start(Service::at(server).endpoint()?, spool, Options::default());
+    let mut recorder = Recorder::new(config, &drive.vehicle, drive.mounts.clone())?;
+    let mut done = Contributed::default();
+    let mut submitted = Vec::new();
+    for event in replay(drive) {
+        let upload = match event {
+            Event::Odometry(time_us, pose) => {
+                recorder.push_odometry(time_us, pose)?;
+                None
+            }
+            Event::Reference(pose) => recorder.push_pose(*pose)?,
+            Event::Scan(scan) => {
+                recorder.push_scan(scan.clone())?;
+                None
+            }
+            Event::Truth(_) => None,
+        };
+        submitted.extend(upload);
+    }
+    done.set_dropped(recorder.dropped());
+    submitted.extend(recorder.finish());
+    bar.inc_length(submitted.len() as u64);
+    for upload in submitted {
+        done.detections += upload.detections() as u64;
+        uploader.submit(upload).await?;
+        bar.inc(1);
+    }
+    uploader.flush(PATIENCE).await?;
+    let progress = uploader.progress();
+    uploader.close().await;
+    (done.uploads, done.duplicates, done.refused) = (progress.sent, progress.duplicates, progress.refused);
+    if done.uploads == 0 {
+        match progress.last_error {
+            Some(reason) => bail!("the service refused every upload of `{}`: {reason}", drive.vehicle),
+            None => bail!("nothing of the drive of `{}` can be mapped: see the dropped detections: {done:?}", drive.vehicle),
+        }
+    }
+    Ok(done)
+}

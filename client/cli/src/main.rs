@@ -1,0 +1,76 @@
+//! The `echofix` command.
+//!
+//! - [`commands`]: one file a subcommand.
+//! - [`contribute`]: a drive goes to the map, through the vehicle's own recorder and spool.
+//! - [`fixes`]: a drive asks where it is, and the answers are compared with the truth.
+//! - [`statistics`]: percentiles and the table beside the paper's figures.
+//! - [`progress`]: bars for people, silence for machines.
+
+#![allow(clippy::print_stdout, reason = "printing is what a command does")]
+
+mod commands;
+mod contribute;
+mod fixes;
+mod progress;
+mod statistics;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// All-weather positioning with automotive radar.
+#[derive(Parser)]
+#[command(version, propagate_version = true, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Print machine-readable JSON, and no progress bars.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Watch a fleet build a radar map of a town, and other vehicles find themselves in it.
+    Demo(commands::demo::Args),
+    /// Run the service: gRPC for vehicles, HTTP for operators.
+    Serve(echofix_server::args::ServeArgs),
+    /// Write the drive log of a simulated vehicle.
+    Simulate(commands::simulate::Args),
+    /// Turn foreign radar data into a drive log.
+    Import(commands::import::Args),
+    /// Upload a drive log to the map.
+    Map(commands::map::Args),
+    /// Replay a drive log against the service, and compare its answers with the truth.
+    Localize(commands::localize::Args),
+    /// Show what a running service holds and whether it is ready.
+    Status(commands::status::Args),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    match run(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: Cli) -> anyhow::Result<()> {
+    let json = cli.json;
+    match cli.command {
+        Command::Serve(args) => commands::serve::run(&args),
+        Command::Simulate(args) => commands::simulate::run(&args, json),
+        Command::Import(args) => commands::import::run(&args, json),
+        Command::Status(args) => commands::status::run(&args, json),
+        Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
+        Command::Map(args) => in_runtime(commands::map::run(args, json)),
+        Command::Localize(args) => in_runtime(commands::localize::run(args, json)),
+    }
+}
+
+fn in_runtime(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(work)
+}

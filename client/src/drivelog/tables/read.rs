@@ -1,0 +1,177 @@
+//! Reading a drive from a folder.
+
+use std::path::Path;
+
+use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::odometry::Trajectory;
+use echofix_core::pose::Pose2;
+use echofix_core::scan::{Mount, Scan};
+
+use super::super::{Error, is_finite};
+use super::file::Table;
+use super::row;
+
+pub(in super::super) fn read(folder: &Path) -> Result<Drive, Error> {
+    let required =
+        |name| Table::find(folder, name)?.ok_or_else(|| Error::NotADriveLog { path: folder.to_owned() });
+    let (sensors, scans, odometry) =
+        (required("sensors.csv")?, required("scans.csv")?, required("odometry.csv")?);
+    let mounts = mounts(&sensors)?;
+    Ok(Drive {
+        vehicle: vehicle(folder)?,
+        scans: self::scans(&scans, mounts.len())?,
+        mounts,
+        odometry: self::odometry(&odometry)?,
+        reference: poses(folder, "reference.csv")?,
+        truth: poses(folder, "truth.csv")?,
+    })
+}
+
+fn vehicle(folder: &Path) -> Result<String, Error> {
+    let mut vehicle = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    if let Some(table) = Table::find(folder, "drive.csv")? {
+        table.rows(&["vehicle"], |row: row::Vehicle| {
+            vehicle = row.vehicle;
+            Ok(())
+        })?;
+    }
+    Ok(vehicle)
+}
+
+fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
+    let mut mounts = Vec::new();
+    table.rows(&super::SENSORS, |row: row::Sensor| {
+        if row.index != mounts.len() {
+            return Err(format!("expected sensor {}; sensors count from 0, one row each", mounts.len()));
+        }
+        let mount = Pose2::new(row.x_m, row.y_m, row.yaw_rad);
+        finite(mount.is_finite())?;
+        mounts.push(mount);
+        Ok(())
+    })?;
+    Ok(mounts)
+}
+
+fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
+    let mut scans: Vec<Scan> = Vec::new();
+    table.rows(&super::SCANS[..4], |row: row::Detection| {
+        let row::Detection { time_us, sensor, .. } = row;
+        if sensor >= sensors {
+            return Err(format!("sensor {sensor} is not in sensors.csv, which has {sensors}"));
+        }
+        let continues = scans.last().is_some_and(|s| (s.time_us, s.sensor) == (time_us, sensor));
+        if !continues {
+            scans.push(Scan { sensor, time_us, ..Scan::default() });
+        }
+        scans.last_mut().map_or(Ok(()), |scan| add(scan, &row))
+    })?;
+    Ok(scans)
+}
+
+/// Adds a detection, minding that the optional columns are whole or empty.
+fn add(scan: &mut Scan, row: &row::Detection) -> Result<(), String> {
+    let (range_m, azimuth_rad) = match (row.range_m, row.azimuth_rad) {
+        (Some(range_m), Some(azimuth_rad)) => (range_m, azimuth_rad),
+        (None, None) if scan.is_empty() => return Ok(()),
+        _ => {
+            return Err(
+                "range_m and azimuth_rad must both be given, or both be empty in a scan's only row".into()
+            );
+        }
+    };
+    let optional = [("radial_speed_mps", row.radial_speed_mps), ("rcs_dbsm", row.rcs_dbsm)];
+    let values = [range_m, azimuth_rad, optional[0].1.unwrap_or(0.0), optional[1].1.unwrap_or(0.0)];
+    finite(values.iter().all(|v| v.is_finite()))?;
+    if range_m < 0.0 {
+        return Err(format!("range_m is {range_m}; ranges are distances from the sensor"));
+    }
+    let before = scan.len();
+    for ((name, value), column) in optional.into_iter().zip([&mut scan.radial_speed_mps, &mut scan.rcs_dbsm])
+    {
+        if before > 0 && value.is_some() == column.is_empty() {
+            return Err(format!("{name} must be given in all rows of a scan or in none"));
+        }
+        column.extend(value);
+    }
+    scan.range_m.push(range_m);
+    scan.azimuth_rad.push(azimuth_rad);
+    Ok(())
+}
+
+fn odometry(table: &Table) -> Result<Trajectory, Error> {
+    let mut odometry = Trajectory::default();
+    table.rows(&super::ODOMETRY, |row: row::Odometry| {
+        odometry.push(row.time_us, row.pose()).map_err(|e| e.to_string())
+    })?;
+    Ok(odometry)
+}
+
+fn poses(folder: &Path, name: &str) -> Result<Vec<GeoPose>, Error> {
+    let mut poses = Vec::new();
+    let Some(table) = Table::find(folder, name)? else { return Ok(poses) };
+    table.rows(&super::GEODETIC, |row: row::Geodetic| {
+        let pose = GeoPose::from(&row);
+        finite(is_finite(&pose))?;
+        poses.push(pose);
+        Ok(())
+    })?;
+    Ok(poses)
+}
+
+fn finite(is_finite: bool) -> Result<(), String> {
+    if is_finite { Ok(()) } else { Err("a value is not a finite number; leave such rows out".into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drivelog;
+    use std::fs;
+
+    const SENSORS: &str = "sensor,x_m,y_m,yaw_rad\n0,3.5,0,0\n1,2.5,0.8,1.57\n";
+    const ODOMETRY: &str = "time_us,x_m,y_m,yaw_rad\n0,0,0,0\n100000,1.5,0,0\n";
+
+    fn read_with(scans: &str) -> Result<Drive, Error> {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, text) in [("sensors.csv", SENSORS), ("odometry.csv", ODOMETRY), ("scans.csv", scans)] {
+            fs::write(dir.path().join(name), text).unwrap();
+        }
+        drivelog::read(dir.path())
+    }
+
+    #[test]
+    fn a_hand_written_folder_is_a_drive() {
+        // Columns in another order, one not known, no optional ones.
+        let drive = read_with(
+            "range_m, azimuth_rad, sensor, time_us, note\n1.5,0.5,0,0,a\n2,-0.5,0,0,b\n3,0,1,0,c\n",
+        )
+        .unwrap();
+        assert_eq!(drive.scans.len(), 2);
+        assert_eq!(drive.scans[0].range_m, [1.5, 2.0]);
+        assert_eq!(drive.scans[1].sensor, 1);
+        assert_eq!((drive.mounts.len(), drive.odometry.len()), (2, 2));
+        assert!(drive.reference.is_empty());
+    }
+
+    #[test]
+    fn errors_name_file_line_and_what_to_do() {
+        let header = "time_us,sensor,range_m,azimuth_rad,radial_speed_mps\n";
+        for (rows, line, words) in [
+            ("0,0,1,0,\n0,2,1,0,\n", 3, "sensors.csv, which has 2"),
+            ("0,0,-1,0,\n", 2, "distances from the sensor"),
+            ("0,0,1,0,2\n0,0,1,0,\n", 3, "in all rows of a scan or in none"),
+            ("0,0,NaN,0,\n", 2, "finite"),
+            ("0,0,1,,\n", 2, "both be given"),
+            ("0,0,x,0,\n", 2, "invalid float"),
+            ("0,0,1\n", 2, "fields"),
+            ("0.5,0,1,0,\n", 2, "invalid digit"),
+        ] {
+            let error = read_with(&format!("{header}{rows}")).unwrap_err();
+            let message = error.to_string();
+            assert!(message.contains(&format!("scans.csv line {line}")), "{message}");
+            assert!(message.contains(words), "{message}");
+        }
+        let error = read_with("time_us,sensor\n0,0\n").unwrap_err();
+        assert!(error.to_string().contains("line 1: column `range_m` is missing"), "{error}");
+    }
+}

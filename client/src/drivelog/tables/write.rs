@@ -1,0 +1,55 @@
+//! Writing a drive to a folder.
+
+use std::path::Path;
+
+use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::scan::Scan;
+
+use super::super::{Error, io_error};
+use super::{file, row};
+
+pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error> {
+    two_scans_at_once(&drive.scans)?;
+    std::fs::create_dir_all(folder).map_err(|e| io_error(folder, e))?;
+    file::write(folder, "drive.csv", &["vehicle"], [row::Vehicle { vehicle: drive.vehicle.clone() }])?;
+    let sensors = drive.mounts.iter().enumerate().map(|(index, m)| row::Sensor {
+        index,
+        x_m: m.x_m,
+        y_m: m.y_m,
+        yaw_rad: m.yaw_rad,
+    });
+    file::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
+    file::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
+    let odometry = drive.odometry.iter().map(|(time_us, pose)| row::Odometry::new(time_us, pose));
+    file::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
+    poses(folder, "reference.csv", &drive.reference)?;
+    poses(folder, "truth.csv", &drive.truth)
+}
+
+fn poses(folder: &Path, name: &str, poses: &[GeoPose]) -> Result<(), Error> {
+    file::write(folder, name, &super::GEODETIC, poses.iter().map(row::Geodetic::from))
+}
+
+/// One row a detection; one without detections for an empty scan.
+fn detections(scan: &Scan) -> impl Iterator<Item = row::Detection> + '_ {
+    (0..scan.len().max(1)).map(|i| row::Detection {
+        time_us: scan.time_us,
+        sensor: scan.sensor,
+        range_m: scan.range_m.get(i).copied(),
+        azimuth_rad: scan.azimuth_rad.get(i).copied(),
+        radial_speed_mps: scan.radial_speed_mps.get(i).copied(),
+        rcs_dbsm: scan.rcs_dbsm.get(i).copied(),
+    })
+}
+
+/// Two such scans would be read back as one.
+fn two_scans_at_once(scans: &[Scan]) -> Result<(), Error> {
+    let same = |pair: &&[Scan]| (pair[0].time_us, pair[0].sensor) == (pair[1].time_us, pair[1].sensor);
+    match scans.windows(2).find(same) {
+        Some(pair) => Err(Error::Unwritable(format!(
+            "two scans of sensor {} are both at {} us, which CSV would join; write MCAP instead",
+            pair[0].sensor, pair[0].time_us
+        ))),
+        None => Ok(()),
+    }
+}

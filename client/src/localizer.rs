@@ -1,0 +1,91 @@
+//! Asking the service where the vehicle is.
+
+use std::time::Duration;
+
+use echofix_proto::v1;
+use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
+use tokio::time::Instant;
+use tonic::Request;
+use tonic::transport::{Channel, Endpoint};
+
+use crate::backoff::{Backoff, Policy};
+use crate::refusal::CallError;
+use crate::vehicle::Question;
+
+/// How patiently the service is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Options {
+    /// An answer is waited for this long, retries included; the service is told, and stops working
+    /// on what nobody waits for.
+    pub deadline: Duration,
+    /// Waits between attempts.
+    pub backoff: Policy,
+}
+
+impl Default for Options {
+    /// Two seconds, retrying after 50 ms at first.
+    fn default() -> Self {
+        let backoff = Policy { initial: Duration::from_millis(50), max: Duration::from_millis(500) };
+        Self { deadline: Duration::from_secs(2), backoff }
+    }
+}
+
+/// A connection to the localization service; cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Localizer {
+    client: LocalizationServiceClient<Channel>,
+    options: Options,
+}
+
+impl Localizer {
+    /// Prepares the connection, which is made with the first question and renewed when it breaks.
+    ///
+    /// Must be called within a tokio runtime.
+    #[must_use]
+    pub fn new(endpoint: Endpoint, options: Options) -> Self {
+        // A connection that died without a word is noticed between questions.
+        let endpoint = endpoint
+            .http2_keep_alive_interval(Duration::from_secs(5))
+            .keep_alive_timeout(Duration::from_secs(5))
+            .keep_alive_while_idle(true);
+        Self { client: LocalizationServiceClient::new(endpoint.connect_lazy()), options }
+    }
+
+    /// Sends a question; attempts that fail for the moment are repeated within the deadline.
+    ///
+    /// Dropping the future cancels the call. The answer still has to be judged:
+    /// [`Vehicle::accept`](crate::vehicle::Vehicle::accept).
+    ///
+    /// # Errors
+    /// The last attempt's failure, or the typed refusal.
+    pub async fn ask(&self, question: &Question) -> Result<v1::LocalizeResponse, CallError> {
+        let until = Instant::now() + self.options.deadline;
+        let mut backoff = Backoff::new(self.options.backoff);
+        loop {
+            let error = match self.ask_once(question, until).await {
+                Ok(answer) => return Ok(answer),
+                Err(error) => error,
+            };
+            let again = matches!(error, CallError::Unavailable { .. } | CallError::Overloaded { .. });
+            let wait = backoff.next(error.retry_after());
+            if !again || Instant::now() + wait >= until {
+                return Err(error);
+            }
+            tokio::time::sleep(wait).await;
+        }
+    }
+
+    async fn ask_once(&self, question: &Question, until: Instant) -> Result<v1::LocalizeResponse, CallError> {
+        let mut request = Request::new(question.request.clone());
+        request.set_timeout(until.saturating_duration_since(Instant::now()));
+        let mut client = self.client.clone();
+        match tokio::time::timeout_at(until, client.localize(request)).await {
+            Ok(Ok(answer)) => Ok(answer.into_inner()),
+            Ok(Err(status)) => Err(CallError::from(&status)),
+            Err(_) => Err(CallError::Deadline),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,153 @@
+//! A service that misbehaves on demand.
+
+use std::collections::{HashSet, VecDeque};
+use std::future;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use echofix_proto::v1;
+use echofix_proto::v1::localization_service_server::{LocalizationService, LocalizationServiceServer};
+use echofix_proto::v1::mapping_service_server::{MappingService, MappingServiceServer};
+use echofix_proto::v1::upload_request::Part;
+use tokio::net::TcpListener;
+use tokio::time::Instant;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::{Endpoint, Server};
+use tonic::{Request, Response, Status, Streaming};
+use uuid::Uuid;
+
+/// What the service does with one call.
+pub(crate) enum Behaviour {
+    Accept,
+    Fail(Status),
+    /// Counts the upload, then breaks.
+    LoseAnswer,
+    /// Neither counts nor answers.
+    Hang,
+    /// Counts, but does not answer.
+    HangAfterCounting,
+}
+
+#[derive(Default)]
+struct State {
+    script: VecDeque<Behaviour>,
+    counted: Vec<Uuid>,
+    calls: Vec<Instant>,
+    failing: HashSet<Uuid>,
+}
+
+/// Follows its script, one behaviour a call, then accepts.
+#[derive(Clone)]
+pub(crate) struct MockService {
+    state: Arc<Mutex<State>>,
+    address: SocketAddr,
+}
+
+impl MockService {
+    pub(crate) async fn start(script: Vec<Behaviour>) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let state = Arc::new(Mutex::new(State { script: script.into(), ..State::default() }));
+        let service = Self { state, address };
+        let router = Server::builder()
+            .add_service(MappingServiceServer::new(service.clone()))
+            .add_service(LocalizationServiceServer::new(service.clone()));
+        tokio::spawn(router.serve_with_incoming(TcpListenerStream::new(listener)));
+        service
+    }
+
+    pub(crate) fn endpoint(&self) -> Endpoint {
+        Endpoint::from_shared(format!("http://{}", self.address)).unwrap()
+    }
+
+    /// Ids that count, in the order of their first arrival.
+    pub(crate) fn counted(&self) -> Vec<Uuid> {
+        self.state.lock().unwrap().counted.clone()
+    }
+
+    pub(crate) fn call_times(&self) -> Vec<Instant> {
+        self.state.lock().unwrap().calls.clone()
+    }
+
+    pub(crate) fn fail_always(&self, id: Uuid) {
+        self.state.lock().unwrap().failing.insert(id);
+    }
+
+    pub(crate) async fn wait_for_calls(&self, count: usize) {
+        while self.call_times().len() < count {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+
+    fn next(&self) -> Behaviour {
+        let mut state = self.state.lock().unwrap();
+        state.calls.push(Instant::now());
+        state.script.pop_front().unwrap_or(Behaviour::Accept)
+    }
+
+    /// True when the id had been counted before.
+    fn count(&self, id: Uuid) -> bool {
+        let counted = &mut self.state.lock().unwrap().counted;
+        let duplicate = counted.contains(&id);
+        if !duplicate {
+            counted.push(id);
+        }
+        duplicate
+    }
+}
+
+#[tonic::async_trait]
+impl MappingService for MockService {
+    async fn upload(
+        &self,
+        request: Request<Streaming<v1::UploadRequest>>,
+    ) -> Result<Response<v1::UploadResponse>, Status> {
+        let mut parts = request.into_inner();
+        let Some(v1::UploadRequest { part: Some(Part::Header(header)) }) = parts.message().await? else {
+            return Err(Status::invalid_argument("no header"));
+        };
+        while parts.message().await?.is_some() {}
+        let id = Uuid::parse_str(&header.upload_id).unwrap();
+        if self.state.lock().unwrap().failing.contains(&id) {
+            return Err(Status::internal("always"));
+        }
+        let duplicate = match self.next() {
+            Behaviour::Accept => self.count(id),
+            Behaviour::Fail(status) => return Err(status),
+            Behaviour::Hang => future::pending().await,
+            behaviour => {
+                self.count(id);
+                match behaviour {
+                    Behaviour::LoseAnswer => return Err(Status::unavailable("the connection broke")),
+                    _ => future::pending().await,
+                }
+            }
+        };
+        Ok(Response::new(v1::UploadResponse { upload_id: header.upload_id, duplicate, ..Default::default() }))
+    }
+}
+
+#[tonic::async_trait]
+impl LocalizationService for MockService {
+    async fn localize(
+        &self,
+        request: Request<v1::LocalizeRequest>,
+    ) -> Result<Response<v1::LocalizeResponse>, Status> {
+        let time_us = request.into_inner().batch.unwrap_or_default().reference_time_us;
+        match self.next() {
+            Behaviour::Accept => Ok(Response::new(super::usable_answer(time_us))),
+            Behaviour::Fail(status) => Err(status),
+            _ => future::pending().await,
+        }
+    }
+
+    type LocalizeStreamStream = tokio_stream::Empty<Result<v1::LocalizeStreamResponse, Status>>;
+
+    async fn localize_stream(
+        &self,
+        _: Request<Streaming<v1::LocalizeStreamRequest>>,
+    ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
+        Err(Status::unimplemented("not needed"))
+    }
+}

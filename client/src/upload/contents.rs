@@ -1,0 +1,214 @@
+//! One upload: a stretch of a drive under one id.
+
+use echofix_core::drive::GeoPose;
+use echofix_core::scan::{Mount, Scan};
+use echofix_proto::v1;
+use echofix_proto::v1::upload_request::Part;
+use prost::Message;
+use uuid::Uuid;
+
+use crate::wire::{self, Columns};
+
+/// Detections in a chunk, at most: a quarter megabyte, well under the 4 MiB a message may have.
+const CHUNK_DETECTIONS: usize = 16_384;
+
+/// Bytes that are not an upload.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("not an upload: {0}")]
+pub struct Damaged(pub(super) &'static str);
+
+/// A stretch of a drive, ready to be sent; it keeps its id for ever.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Upload {
+    id: Uuid,
+    parts: Vec<v1::UploadRequest>,
+}
+
+impl Upload {
+    /// An upload under a fresh id, without chunks yet.
+    pub(crate) fn start(contributor: &str, mounts: &[Mount], reference_time_us: i64) -> Self {
+        // Version 7 ids sort by time: the spool's order is the order of the drive.
+        let id = Uuid::now_v7();
+        let header = v1::UploadHeader {
+            upload_id: id.to_string(),
+            contributor: contributor.to_owned(),
+            reference_time_us,
+            mounts: mounts.iter().map(wire::mount).collect(),
+        };
+        Self { id, parts: vec![v1::UploadRequest { part: Some(Part::Header(header)) }] }
+    }
+
+    /// Adds scans and the poses they were taken from, both oldest first and the scans within the
+    /// poses' time, as one chunk or several.
+    pub(crate) fn add(&mut self, poses: &[GeoPose], scans: &[Scan], columns: Columns) {
+        let reference_time_us = self.header().map_or(0, |h| h.reference_time_us);
+        let mut pieces = scans.iter().flat_map(pieces).peekable();
+        while pieces.peek().is_some() {
+            let mut detections = 0;
+            let mut chunk = Vec::new();
+            while let Some(piece) =
+                pieces.next_if(|p| chunk.is_empty() || detections + p.len() <= CHUNK_DETECTIONS)
+            {
+                detections += piece.len();
+                chunk.push(piece);
+            }
+            let (Some(first), Some(last)) = (chunk.first(), chunk.last()) else { return };
+            let poses = covering(poses, first.time_us, last.time_us);
+            let chunk = v1::UploadChunk {
+                poses: Some(wire::poses(poses, reference_time_us)),
+                scans: Some(wire::scans(&chunk, reference_time_us, columns)),
+            };
+            self.parts.push(v1::UploadRequest { part: Some(Part::Chunk(chunk)) });
+        }
+    }
+
+    /// The id.
+    #[must_use]
+    pub fn id(&self) -> Uuid {
+        self.id
+    }
+
+    /// The messages of the upload: a header, then the chunks.
+    #[must_use]
+    pub fn parts(&self) -> &[v1::UploadRequest] {
+        &self.parts
+    }
+
+    /// The messages of the upload, to be sent.
+    #[must_use]
+    pub fn into_parts(self) -> Vec<v1::UploadRequest> {
+        self.parts
+    }
+
+    /// What all chunks share.
+    #[must_use]
+    pub fn header(&self) -> Option<&v1::UploadHeader> {
+        match self.parts.first()?.part.as_ref()? {
+            Part::Header(header) => Some(header),
+            Part::Chunk(_) => None,
+        }
+    }
+
+    /// The chunks.
+    pub fn chunks(&self) -> impl Iterator<Item = &v1::UploadChunk> {
+        self.parts.iter().filter_map(|request| match request.part.as_ref()? {
+            Part::Chunk(chunk) => Some(chunk),
+            Part::Header(_) => None,
+        })
+    }
+
+    /// Detections in all chunks.
+    #[must_use]
+    pub fn detections(&self) -> usize {
+        self.chunks().filter_map(|chunk| chunk.scans.as_ref()).map(|scans| scans.range_m.len()).sum()
+    }
+
+    /// The messages, each preceded by its length.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        self.parts.iter().flat_map(Message::encode_length_delimited_to_vec).collect()
+    }
+
+    pub(super) fn decode(mut bytes: &[u8]) -> Result<Self, Damaged> {
+        let mut parts = Vec::new();
+        while !bytes.is_empty() {
+            let part = v1::UploadRequest::decode_length_delimited(&mut bytes);
+            parts.push(part.map_err(|_| Damaged("a message does not decode"))?);
+        }
+        let upload = Self { id: Uuid::nil(), parts };
+        let header = upload.header().ok_or(Damaged("it does not begin with a header"))?;
+        let id = Uuid::parse_str(&header.upload_id).map_err(|_| Damaged("its id is not a UUID"))?;
+        Ok(Self { id, ..upload })
+    }
+}
+
+/// A scan, cut where it would not fit a chunk.
+fn pieces(scan: &Scan) -> impl Iterator<Item = Scan> + '_ {
+    let cut = |column: &[f32], at: usize| -> Vec<f32> {
+        column.chunks(CHUNK_DETECTIONS).nth(at).unwrap_or_default().to_vec()
+    };
+    (0..scan.len().div_ceil(CHUNK_DETECTIONS)).map(move |at| Scan {
+        sensor: scan.sensor,
+        time_us: scan.time_us,
+        range_m: cut(&scan.range_m, at),
+        azimuth_rad: cut(&scan.azimuth_rad, at),
+        radial_speed_mps: cut(&scan.radial_speed_mps, at),
+        rcs_dbsm: cut(&scan.rcs_dbsm, at),
+    })
+}
+
+/// The poses needed to interpolate between two times.
+fn covering(poses: &[GeoPose], from_us: i64, to_us: i64) -> &[GeoPose] {
+    let from = poses.partition_point(|p| p.time_us <= from_us).saturating_sub(1);
+    let to = poses.partition_point(|p| p.time_us < to_us).saturating_add(1).min(poses.len());
+    // One pose alone gives no velocity.
+    let from = from.min(to.saturating_sub(2));
+    &poses[from..to.max(from + 2).min(poses.len())]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::T0;
+
+    fn poses() -> Vec<GeoPose> {
+        (0..101).map(|i| GeoPose { time_us: T0 + i * 100_000, ..GeoPose::default() }).collect()
+    }
+
+    fn scan(time_us: i64, detections: usize) -> Scan {
+        let azimuth_rad = (0..detections).map(|i| i as f32 * 1e-4).collect();
+        Scan { time_us, range_m: vec![5.0; detections], azimuth_rad, ..Scan::default() }
+    }
+
+    fn upload(scans: &[Scan]) -> Upload {
+        let mut upload = Upload::start("car", &[Mount::IDENTITY], T0);
+        upload.add(&poses(), scans, Columns::Geometry);
+        upload
+    }
+
+    #[test]
+    fn chunks_are_small_cover_their_scans_and_lose_nothing() {
+        let scans: Vec<_> = (0..100).map(|i| scan(T0 + i * 100_000 + 50_000, 1000)).collect();
+        let upload = upload(&scans);
+        assert_eq!(upload.detections(), 100_000);
+        assert!(upload.chunks().count() >= 6);
+        let mut again = Vec::new();
+        for chunk in upload.chunks() {
+            assert!(chunk.encoded_len() < 512 << 10);
+            let poses = wire::poses_from(chunk.poses.as_ref().unwrap(), T0).unwrap();
+            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), T0).unwrap();
+            assert!(poses[0].time_us <= scans[0].time_us);
+            assert!(poses.last().unwrap().time_us >= scans.last().unwrap().time_us);
+            assert!(poses.len() <= scans.len() + 1, "poses that no scan needs");
+            again.extend(scans);
+        }
+        assert_eq!(again, scans);
+    }
+
+    #[test]
+    fn a_huge_scan_is_cut() {
+        let huge = scan(T0 + 1_050_000, 40_000);
+        let upload = upload(std::slice::from_ref(&huge));
+        assert_eq!((upload.chunks().count(), upload.detections()), (3, 40_000));
+        let azimuths: Vec<f32> =
+            upload.chunks().flat_map(|c| c.scans.as_ref().unwrap().azimuth_rad.clone()).collect();
+        assert_eq!(azimuths, huge.azimuth_rad);
+    }
+
+    #[test]
+    fn a_lone_scan_on_a_pose_still_has_two_poses() {
+        for time_us in [T0, T0 + 100_000, T0 + 10_000_000] {
+            let upload = upload(&[scan(time_us, 1)]);
+            let chunk = upload.chunks().next().unwrap();
+            assert_eq!(chunk.poses.as_ref().unwrap().yaw_rad.len(), 2, "{time_us}");
+        }
+    }
+
+    #[test]
+    fn bytes_come_back_as_the_same_upload() {
+        let upload = upload(&[scan(T0 + 10, 20)]);
+        let bytes = upload.encode();
+        assert_eq!(Upload::decode(&bytes), Ok(upload));
+        assert!(Upload::decode(&bytes[..bytes.len() - 1]).is_err());
+        assert!(Upload::decode(&[]).is_err());
+    }
+}

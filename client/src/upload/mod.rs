@@ -1,0 +1,21 @@
+//! Contributing to the map: record, spool, send.
+//!
+//! 1. [`Recorder`] takes scans and reference poses as they come, keeps what maps (poses known well
+//!    enough, scans fast and near enough, no movers) and cuts the drive into [`Upload`]s.
+//! 2. [`Uploader::submit`] puts an upload on disk; once it returns, the upload survives crashes
+//!    and power cuts of the vehicle.
+//! 3. In the background the uploads are sent, oldest first, each until the service has
+//!    acknowledged it; an id counts once however often it is sent. What the service refuses for
+//!    good is kept in the spool's `refused` folder with the reason.
+
+mod contents;
+mod recorder;
+mod sender;
+pub mod spool;
+mod stretch;
+mod uploader;
+
+pub use contents::{Damaged, Upload};
+pub use recorder::{Config, Error, Recorder};
+pub use spool::Spool;
+pub use uploader::{FlushError, Options, Progress, Uploader};

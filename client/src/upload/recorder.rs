@@ -1,0 +1,296 @@
+//! Cuts a drive into uploads.
+
+use echofix_core::batch::Dropped;
+use echofix_core::drive::GeoPose;
+use echofix_core::geo::{self, Zone};
+use echofix_core::odometry::{self, Trajectory};
+use echofix_core::pose::Pose2;
+use echofix_core::scan::{self, Gate, Mount, Scan};
+
+use super::{Upload, stretch};
+use crate::wire::Columns;
+
+/// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
+const ARRIVED_AFTER_US: i64 = 120_000_000;
+
+/// What is recorded and how it is cut.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Config {
+    /// Which detections are kept.
+    pub gate: Gate,
+    /// Which columns are sent. Movers are dropped here, so the geometry is enough.
+    pub columns: Columns,
+    /// Poses less well known than this are not mapped from, metres (one sigma an axis).
+    pub max_sigma_position_m: f64,
+    /// Poses whose heading is less well known than this are not mapped from, radians.
+    pub max_sigma_yaw_rad: f64,
+    /// Scans between poses farther apart than this are dropped, seconds.
+    pub max_pose_gap_s: f64,
+    /// An upload is cut after this time, seconds.
+    pub cut_after_s: f64,
+    /// An upload is cut after this way, metres.
+    pub cut_after_m: f64,
+    /// Scans may come this much later than the poses that cover them, seconds.
+    pub lateness_s: f64,
+    /// Nothing is recorded within this distance of where a trip began and where it ended, metres, so
+    /// that uploads do not tell either place. A stop of two minutes ends a trip. 0 records all.
+    pub trim_ends_m: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            gate: Gate::default(),
+            columns: Columns::Geometry,
+            max_sigma_position_m: 0.3,
+            max_sigma_yaw_rad: 0.5_f64.to_radians(),
+            max_pose_gap_s: 0.5,
+            cut_after_s: 10.0,
+            cut_after_m: 100.0,
+            lateness_s: 0.5,
+            trim_ends_m: 0.0,
+        }
+    }
+}
+
+/// Why a measurement is not recorded.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// The service would refuse the name.
+    #[error("`{0}` cannot name a contributor; use 1 to 64 characters that stay the same for a vehicle")]
+    Contributor(String),
+    /// A scan's columns cannot be used.
+    #[error(transparent)]
+    Scan(#[from] scan::Error),
+    /// An odometry pose cannot be used.
+    #[error(transparent)]
+    Odometry(#[from] odometry::Error),
+    /// A scan of a radar the vehicle does not have.
+    #[error("a scan names sensor {sensor}, but the vehicle has {mounts}; sensors count from 0")]
+    UnknownSensor {
+        /// The sensor named.
+        sensor: usize,
+        /// Sensors there are.
+        mounts: usize,
+    },
+    /// A measurement that comes after its time was cut.
+    #[error("the measurement at {time_us} us came after the drive was cut at {cut_us} us")]
+    TooLate {
+        /// The measurement's time.
+        time_us: i64,
+        /// Up to where the drive is cut.
+        cut_us: i64,
+    },
+    /// A pose that is not finite, or whose errors are negative.
+    #[error("the pose at {time_us} us is not finite or its sigma is negative; leave such poses out")]
+    NotAPose {
+        /// The pose's time.
+        time_us: i64,
+    },
+    /// A pose that is not on the map.
+    #[error(transparent)]
+    OffTheMap(#[from] geo::Error),
+}
+
+/// Turns one trip into uploads; no clock, no files.
+#[derive(Debug, Clone)]
+pub struct Recorder {
+    config: Config,
+    contributor: String,
+    mounts: Vec<Mount>,
+    /// Poses since the last cut (the first is the cut), and the metres travelled until each.
+    poses: Vec<(GeoPose, f64)>,
+    /// Scans since the last cut, oldest first.
+    scans: Vec<Scan>,
+    odometry: Trajectory,
+    /// Where the trip began, until it is left behind.
+    start: Option<GeoPose>,
+    dropped: Dropped,
+}
+
+impl Recorder {
+    /// A recorder for one trip of a vehicle under a stable pseudonym.
+    ///
+    /// # Errors
+    /// When the pseudonym has not 1 to 64 characters.
+    pub fn new(config: Config, contributor: &str, mounts: Vec<Mount>) -> Result<Self, Error> {
+        if !(1..=64).contains(&contributor.chars().count()) {
+            return Err(Error::Contributor(contributor.to_owned()));
+        }
+        Ok(Self {
+            config,
+            contributor: contributor.to_owned(),
+            mounts,
+            poses: Vec::new(),
+            scans: Vec::new(),
+            odometry: Trajectory::default(),
+            start: None,
+            dropped: Dropped::default(),
+        })
+    }
+
+    /// Takes a scan, in any order within the allowed lateness.
+    ///
+    /// # Errors
+    /// When the scan is malformed, of an unknown radar or too late.
+    pub fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
+        scan.validate()?;
+        let (sensor, time_us) = (scan.sensor, scan.time_us);
+        if sensor >= self.mounts.len() {
+            return Err(Error::UnknownSensor { sensor, mounts: self.mounts.len() });
+        }
+        if let Some(&(GeoPose { time_us: cut_us, .. }, _)) = self.poses.first()
+            && time_us < cut_us
+        {
+            self.dropped.without_pose += scan.len() as u64;
+            return Err(Error::TooLate { time_us, cut_us });
+        }
+        let at = self.scans.partition_point(|s| s.time_us <= time_us);
+        self.scans.insert(at, scan);
+        self.forget_scans_without_poses();
+        Ok(())
+    }
+
+    /// Takes an odometry pose. Optional: where odometry covers a scan, the velocity that tells
+    /// movers from structure is taken from it, for absolute poses jitter.
+    ///
+    /// # Errors
+    /// When the time does not increase or the pose is not finite.
+    pub fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {
+        Ok(self.odometry.push(time_us, pose)?)
+    }
+
+    /// Takes the next reference pose; returns an upload when one is complete.
+    ///
+    /// # Errors
+    /// When the pose is not newer than the last one, not a pose or not on the map.
+    pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<Upload>, Error> {
+        check(&pose)?;
+        self.append(pose)?;
+        if let Some(start) = self.start {
+            if ground_m(&start, &pose) < self.config.trim_ends_m {
+                self.forget_before(self.poses.len() - 1);
+                return Ok(None);
+            }
+            self.start = None;
+        }
+        let horizon_us = pose.time_us.saturating_sub((self.config.lateness_s * 1e6) as i64);
+        let cut = self.last_pose_to_record(horizon_us);
+        let ((first, from_m), (last, to_m)) = (self.poses[0], self.poses[cut]);
+        if pose.time_us - last.time_us > ARRIVED_AFTER_US + (self.config.lateness_s * 1e6) as i64 {
+            let upload = self.cut_at(cut);
+            self.forget_before(self.poses.len() - 1);
+            self.start = Some(pose);
+            return Ok(upload);
+        }
+        let long_s = (last.time_us - first.time_us) as f64 * 1e-6;
+        let complete = long_s >= self.config.cut_after_s || to_m - from_m >= self.config.cut_after_m;
+        Ok(if complete { self.cut_at(cut) } else { None })
+    }
+
+    /// Ends the trip; returns what is left of it.
+    #[must_use]
+    pub fn finish(mut self) -> Option<Upload> {
+        if self.poses.is_empty() || self.start.is_some_and(|_| self.config.trim_ends_m > 0.0) {
+            return None;
+        }
+        let cut = self.last_pose_to_record(i64::MAX);
+        self.cut_at(cut)
+    }
+
+    /// Detections left out since the beginning, by the reason.
+    #[must_use]
+    pub fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    fn append(&mut self, pose: GeoPose) -> Result<(), Error> {
+        let Some((last, until_m)) = self.poses.last() else {
+            self.start = Some(pose);
+            self.poses.push((pose, 0.0));
+            return Ok(());
+        };
+        let (time_us, cut_us) = (pose.time_us, last.time_us);
+        if time_us <= cut_us {
+            return Err(Error::TooLate { time_us, cut_us });
+        }
+        let travelled_m = until_m + ground_m(last, &pose);
+        self.poses.push((pose, travelled_m));
+        Ok(())
+    }
+
+    /// The newest pose up to a time that is not near the end of the trip as far as it is known.
+    fn last_pose_to_record(&self, horizon_us: i64) -> usize {
+        let Some((end, _)) = self.poses.last() else { return 0 };
+        let far = |pose: &GeoPose| ground_m(pose, end) >= self.config.trim_ends_m;
+        self.poses.iter().rposition(|(pose, _)| pose.time_us <= horizon_us && far(pose)).unwrap_or(0)
+    }
+
+    /// Makes an upload of everything up to a pose, with which the next one begins.
+    fn cut_at(&mut self, cut: usize) -> Option<Upload> {
+        let poses: Vec<GeoPose> = self.poses[..=cut].iter().map(|(pose, _)| *pose).collect();
+        let (first_us, last_us) = (poses.first()?.time_us, poses.last()?.time_us);
+        let mut upload = Upload::start(&self.contributor, &self.mounts, first_us);
+        for stretch in stretch::good(&poses, &self.config) {
+            let scans = take_within(&mut self.scans, stretch);
+            let (mounts, config) = (&self.mounts, &self.config);
+            let scans = stretch::gated(stretch, &scans, mounts, &self.odometry, config, &mut self.dropped);
+            upload.add(stretch, &scans, self.config.columns);
+        }
+        self.forget_before(cut);
+        self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
+        (upload.detections() > 0).then_some(upload)
+    }
+
+    /// Forgets poses before one, and what came before it.
+    fn forget_before(&mut self, cut: usize) {
+        self.poses.drain(..cut);
+        let Some(&(GeoPose { time_us, .. }, _)) = self.poses.first() else { return };
+        self.scans.retain(|scan| scan.time_us >= time_us || count_lost(&mut self.dropped, scan));
+        self.odometry.trim_before(time_us);
+    }
+
+    /// Without reference poses nothing is cut: scans must not pile up.
+    fn forget_scans_without_poses(&mut self) {
+        let Some(newest_us) = self.scans.last().map(|s| s.time_us) else { return };
+        let patience_us = ((self.config.cut_after_s + self.config.lateness_s) * 1e6) as i64;
+        let covered_us = self.poses.last().map_or(i64::MIN, |(pose, _)| pose.time_us);
+        let oldest_us = newest_us.saturating_sub(patience_us);
+        if self.scans.first().is_some_and(|s| s.time_us < oldest_us && s.time_us > covered_us) {
+            self.scans.retain(|scan| scan.time_us >= oldest_us || count_lost(&mut self.dropped, scan));
+            self.odometry.trim_before(oldest_us);
+        }
+    }
+}
+
+/// Counts a scan's detections as lost; always false, for use in `retain`.
+fn count_lost(dropped: &mut Dropped, scan: &Scan) -> bool {
+    dropped.without_pose += scan.len() as u64;
+    false
+}
+
+/// Takes the scans within a stretch's time out of the others.
+fn take_within(scans: &mut Vec<Scan>, stretch: &[GeoPose]) -> Vec<Scan> {
+    let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { return Vec::new() };
+    let from = scans.partition_point(|s| s.time_us < first.time_us);
+    let to = scans.partition_point(|s| s.time_us <= last.time_us);
+    scans.drain(from..to.max(from)).collect()
+}
+
+/// Metres between two poses that are near each other.
+fn ground_m(a: &GeoPose, b: &GeoPose) -> f64 {
+    const METRES_PER_DEGREE: f64 = 111_195.0;
+    let north = (b.at.lat_deg - a.at.lat_deg) * METRES_PER_DEGREE;
+    let turns = (b.at.lon_deg - a.at.lon_deg + 540.0).rem_euclid(360.0) - 180.0;
+    north.hypot(turns * METRES_PER_DEGREE * a.at.lat_deg.to_radians().cos())
+}
+
+fn check(pose: &GeoPose) -> Result<(), Error> {
+    Zone::of(pose.at)?;
+    let sigma = |s: f64| s.is_finite() && s >= 0.0;
+    let fine = pose.yaw_rad.is_finite() && sigma(pose.sigma_position_m) && sigma(pose.sigma_yaw_rad);
+    if fine { Ok(()) } else { Err(Error::NotAPose { time_us: pose.time_us }) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,183 @@
+//! A recorder on a straight drive east at 30 degrees north.
+
+use super::*;
+use crate::testing::T0;
+use crate::wire;
+use echofix_core::geo::LatLon;
+
+const METRES_PER_DEGREE: f64 = 96_486.0;
+
+fn pose(ms: i64, east_m: f64) -> GeoPose {
+    GeoPose {
+        time_us: T0 + ms * 1000,
+        at: LatLon { lat_deg: 30.0, lon_deg: -97.0 + east_m / METRES_PER_DEGREE },
+        yaw_rad: 0.0,
+        sigma_position_m: 0.1,
+        sigma_yaw_rad: 0.001,
+    }
+}
+
+fn scan(ms: i64) -> Scan {
+    let columns = || vec![10.0, 20.0];
+    Scan { time_us: T0 + ms * 1000, range_m: columns(), azimuth_rad: vec![0.1, 0.2], ..Scan::default() }
+}
+
+fn recorder(config: Config) -> Recorder {
+    Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap()
+}
+
+/// Poses every 0.1 s at 10 m/s, changed by `edit`, and a scan 50 ms after each.
+fn record(recorder: &mut Recorder, tenths: i64, edit: impl Fn(i64, &mut GeoPose)) -> Vec<Upload> {
+    let mut uploads = Vec::new();
+    for i in 0..=tenths {
+        let mut p = pose(i * 100, i as f64);
+        edit(i, &mut p);
+        uploads.extend(recorder.push_pose(p).unwrap());
+        recorder.push_scan(scan(i * 100 + 50)).unwrap();
+    }
+    uploads
+}
+
+fn scan_times(uploads: &[Upload]) -> Vec<i64> {
+    let mut times = Vec::new();
+    for upload in uploads {
+        let reference = upload.header().unwrap().reference_time_us;
+        for chunk in upload.chunks() {
+            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), reference).unwrap();
+            times.extend(scans.iter().map(|s| (s.time_us - T0) / 1000));
+        }
+    }
+    times
+}
+
+#[test]
+fn a_drive_becomes_uploads_that_hold_every_scan_once() {
+    let mut r = recorder(Config { cut_after_m: 1e9, ..Config::default() });
+    let mut uploads = record(&mut r, 305, |_, _| ());
+    assert_eq!(uploads.len(), 3, "30.5 s less the lateness, in pieces of 10 s");
+    uploads.extend(r.finish());
+    let times = scan_times(&uploads);
+    let expected: Vec<i64> = (0..305).map(|i| i * 100 + 50).collect();
+    assert_eq!(times, expected, "the last scan is beyond the last pose");
+    assert!(uploads.is_sorted_by_key(Upload::id));
+    let header = uploads[0].header().unwrap();
+    assert_eq!((header.contributor.as_str(), header.mounts.len()), ("car-1", 1));
+    assert_eq!(header.upload_id, uploads[0].id().to_string());
+}
+
+#[test]
+fn a_long_way_cuts_as_well() {
+    let mut r = recorder(Config { cut_after_m: 50.0, ..Config::default() });
+    assert_eq!(record(&mut r, 200, |_, _| ()).len(), 3);
+}
+
+#[test]
+fn scans_late_by_less_than_allowed_are_kept_and_later_ones_refused() {
+    let mut r = recorder(Config { cut_after_s: 1.0, ..Config::default() });
+    let mut uploads = Vec::new();
+    for i in 0..=30 {
+        uploads.extend(r.push_pose(pose(i * 100, i as f64)).unwrap());
+        if i >= 4 {
+            r.push_scan(scan((i - 4) * 100)).unwrap();
+        }
+    }
+    assert!(matches!(r.push_scan(scan(100)), Err(Error::TooLate { .. })));
+    uploads.extend(r.finish());
+    assert_eq!(scan_times(&uploads), (0..=26).map(|i| i * 100).collect::<Vec<_>>());
+}
+
+#[test]
+fn doubtful_poses_leave_a_hole_and_are_counted() {
+    let mut r = recorder(Config::default());
+    let mut uploads = record(&mut r, 90, |i, p| {
+        if (30..40).contains(&i) {
+            p.sigma_position_m = 0.5;
+        }
+    });
+    let counted = r.clone();
+    uploads.extend(r.finish());
+    let times = scan_times(&uploads);
+    assert!(times.iter().all(|t| *t <= 2900 || *t >= 4000), "{times:?}");
+    assert_eq!(uploads.iter().flat_map(Upload::chunks).count(), 2);
+    assert_eq!(counted.dropped().total(), 0, "nothing is cut before the end");
+}
+
+#[test]
+fn standstill_is_not_recorded() {
+    let mut r = recorder(Config::default());
+    let mut uploads = Vec::new();
+    for i in 0..300 {
+        uploads.extend(r.push_pose(pose(i * 100, 0.0)).unwrap());
+        r.push_scan(scan(i * 100 + 50)).unwrap();
+    }
+    assert!(uploads.is_empty());
+    assert!(r.dropped().too_slow > 300, "{:?}", r.dropped());
+    assert_eq!(r.finish(), None);
+}
+
+#[test]
+fn odometry_tells_movers_where_poses_jitter() {
+    let mut r = recorder(Config::default());
+    for i in 0..=20 {
+        // Poses jitter by 0.2 m; by their differences everything would move.
+        let jitter = if i % 2 == 0 { 0.2 } else { -0.2 };
+        r.push_pose(pose(i * 100, i as f64 + jitter)).unwrap();
+        r.push_odometry(T0 + i * 100_000, Pose2::new(i as f64, 0.0, 0.0)).unwrap();
+        let radial_speed_mps = vec![-10.0 * 0.1_f32.cos(), -2.0];
+        r.push_scan(Scan { radial_speed_mps, ..scan(i * 100 + 50) }).unwrap();
+    }
+    let upload = r.finish().unwrap();
+    assert_eq!(upload.detections(), 20, "one of two in each of the 20 scans that poses cover");
+}
+
+#[test]
+fn the_ends_of_a_trip_stay_private() {
+    let mut r = recorder(Config { trim_ends_m: 20.0, cut_after_s: 5.0, ..Config::default() });
+    let mut uploads = record(&mut r, 200, |_, _| ());
+    uploads.extend(r.finish());
+    let times = scan_times(&uploads);
+    assert!(times[0] >= 1950 && *times.last().unwrap() <= 18_050, "{:?}", (times[0], times.last()));
+    assert!(times.len() > 150);
+    for chunk in uploads.iter().flat_map(Upload::chunks) {
+        let poses = chunk.poses.as_ref().unwrap();
+        let east_m = |lon: &f64| (lon + 97.0) * METRES_PER_DEGREE;
+        assert!(poses.longitude_deg.iter().map(east_m).all(|e| (19.9..=180.1).contains(&e)));
+    }
+}
+
+#[test]
+fn a_parked_vehicle_has_arrived_and_holds_nothing_back() {
+    let mut r = recorder(Config { trim_ends_m: 20.0, ..Config::default() });
+    let mut uploads = record(&mut r, 200, |_, _| ());
+    for i in 201..5000 {
+        // Parked 200 m on, the receiver jittering by a decimetre.
+        uploads.extend(r.push_pose(pose(i * 100, 200.0 + 0.1 * (i % 2) as f64)).unwrap());
+        r.push_scan(scan(i * 100 + 50)).unwrap();
+    }
+    assert!(r.poses.len() < 10 && r.scans.len() < 10, "{} {}", r.poses.len(), r.scans.len());
+    assert!(scan_times(&uploads).iter().all(|t| *t <= 18_050));
+    assert_eq!(r.finish(), None);
+}
+
+#[test]
+fn without_poses_scans_do_not_pile_up() {
+    let mut r = recorder(Config::default());
+    for i in 0..10_000 {
+        r.push_scan(scan(i * 50)).unwrap();
+    }
+    assert!(r.scans.len() < 250, "{}", r.scans.len());
+    assert!(r.dropped().without_pose > 19_000);
+}
+
+#[test]
+fn what_cannot_be_recorded_is_refused() {
+    assert!(matches!(Recorder::new(Config::default(), "", vec![]), Err(Error::Contributor(_))));
+    let mut r = recorder(Config::default());
+    r.push_pose(pose(0, 0.0)).unwrap();
+    assert!(matches!(r.push_pose(pose(0, 0.0)), Err(Error::TooLate { .. })));
+    let nan = GeoPose { yaw_rad: f64::NAN, ..pose(1, 0.0) };
+    assert!(matches!(r.push_pose(nan), Err(Error::NotAPose { .. })));
+    let lost = GeoPose { at: LatLon { lat_deg: f64::NAN, lon_deg: 0.0 }, ..pose(1, 0.0) };
+    assert!(matches!(r.push_pose(lost), Err(Error::OffTheMap(_))));
+    assert!(matches!(r.push_scan(Scan { sensor: 1, ..scan(10) }), Err(Error::UnknownSensor { .. })));
+}

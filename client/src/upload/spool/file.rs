@@ -1,0 +1,100 @@
+//! The files of a spool.
+//!
+//! A file is the magic `EFXSPL01`, the CRC-32C of the rest (4 bytes, little-endian), its length
+//! (8 bytes, little-endian), and the upload's messages, each preceded by its length.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::super::Damaged;
+
+/// Ending of files that are being written.
+pub(super) const PART: &str = "part";
+
+const MAGIC: &[u8; 8] = b"EFXSPL01";
+const HEADER: usize = 20;
+
+/// A body with what tells that it is whole.
+pub(super) fn seal(body: &[u8]) -> Vec<u8> {
+    let mut contents = Vec::with_capacity(HEADER + body.len());
+    contents.extend_from_slice(MAGIC);
+    contents.extend_from_slice(&crc32c::crc32c(body).to_le_bytes());
+    contents.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    contents.extend_from_slice(body);
+    contents
+}
+
+/// The body, if it is whole.
+pub(super) fn open(contents: &[u8]) -> Result<&[u8], Damaged> {
+    let (header, body) = contents.split_at_checked(HEADER).ok_or(Damaged("the file is too short"))?;
+    let (magic, rest) = header.split_at(MAGIC.len());
+    let (crc, len) = rest.split_at(4);
+    if magic != MAGIC {
+        return Err(Damaged("the file does not begin as a spooled upload"));
+    }
+    if len != (body.len() as u64).to_le_bytes() {
+        return Err(Damaged("the file is not as long as it says"));
+    }
+    if crc != crc32c::crc32c(body).to_le_bytes() {
+        return Err(Damaged("the checksum does not match"));
+    }
+    Ok(body)
+}
+
+/// Writes a file that appears whole or not at all, and stays.
+pub(super) fn write_durably(dir: &Path, path: &Path, contents: &[u8]) -> io::Result<()> {
+    let part = path.with_extension(PART);
+    let written = write_synced(&part, contents).and_then(|()| fs::rename(&part, path));
+    if let Err(error) = written {
+        // What is left is removed at the next opening if not now.
+        let _ = fs::remove_file(&part);
+        return Err(error);
+    }
+    File::open(dir)?.sync_all()
+}
+
+fn write_synced(path: &Path, contents: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(contents)?;
+    file.sync_all()
+}
+
+/// Deletes the oldest files of a folder (by name) beyond a number of bytes.
+pub(super) fn trim(dir: &Path, max_bytes: u64) -> io::Result<()> {
+    let mut files: Vec<(PathBuf, u64)> = Vec::new();
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        files.push((entry.path(), entry.metadata()?.len()));
+    }
+    files.sort();
+    let mut bytes: u64 = files.iter().map(|(_, bytes)| bytes).sum();
+    for (path, size) in files {
+        if bytes <= max_bytes {
+            break;
+        }
+        tracing::warn!(file = %path.display(), "deleted to bound what is set aside");
+        fs::remove_file(path)?;
+        bytes -= size;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn any_flipped_bit_and_any_cut_is_found(body in proptest::collection::vec(any::<u8>(), 0..200), at in any::<prop::sample::Index>(), bit in 0..8) {
+            let good = seal(&body);
+            prop_assert_eq!(open(&good), Ok(body.as_slice()));
+            let at = at.index(good.len());
+            let mut flipped = good.clone();
+            flipped[at] ^= 1_u8 << bit;
+            prop_assert!(open(&flipped).is_err());
+            prop_assert!(open(&good[..at]).is_err());
+        }
+    }
+}

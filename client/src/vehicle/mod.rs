@@ -1,0 +1,296 @@
+//! The vehicle's side of localizing, without any network: collect, ask, judge, carry on.
+//!
+//! 1. Feed what the sensors say as it comes: [`Vehicle::push_odometry`], [`Vehicle::push_scan`],
+//!    and rough poses (GNSS) with [`Vehicle::push_pose`].
+//! 2. [`Vehicle::question`] makes the request of the last seconds, with the pose believed now as
+//!    its prior.
+//! 3. [`Localizer::ask`](crate::Localizer::ask) sends it.
+//! 4. [`Vehicle::accept`] judges the answer; a good one becomes the pose believed.
+//! 5. [`Vehicle::position`] is that pose, carried to now by odometry.
+//!
+//! The vehicle has no clock: now is the time of the newest odometry pose. Asking does not borrow
+//! it, so sensors can be fed while an answer is on its way.
+
+mod anchor;
+mod config;
+mod verdict;
+mod window;
+
+pub use config::{AlertLimits, Config, Drift};
+pub use verdict::{Fix, Rejection};
+
+use echofix_core::batch::Dropped;
+use echofix_core::drive::GeoPose;
+use echofix_core::geo;
+use echofix_core::odometry;
+use echofix_core::pose::Pose2;
+use echofix_core::scan::{self, Mount, Scan};
+use echofix_proto::v1;
+
+use crate::wire::{self, Columns};
+use anchor::Anchor;
+use window::Window;
+
+/// Why a measurement is not taken.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A scan's columns cannot be used.
+    #[error(transparent)]
+    Scan(#[from] scan::Error),
+    /// An odometry pose cannot be used.
+    #[error(transparent)]
+    Odometry(#[from] odometry::Error),
+    /// A scan of a radar the vehicle does not have.
+    #[error("a scan names sensor {sensor}, but the vehicle has {mounts}; sensors count from 0")]
+    UnknownSensor {
+        /// The sensor named.
+        sensor: usize,
+        /// Sensors there are.
+        mounts: usize,
+    },
+    /// Odometry is missing or far behind.
+    #[error("the measurement at {time_us} us is ahead of odometry; feed odometry first, on the same clock")]
+    AheadOfOdometry {
+        /// The measurement's time.
+        time_us: i64,
+    },
+    /// The window has moved past a measurement.
+    #[error("the measurement at {time_us} us came after the window had moved on to {oldest_us} us")]
+    TooLate {
+        /// The measurement's time.
+        time_us: i64,
+        /// Where the window begins.
+        oldest_us: i64,
+    },
+    /// A pose that is not finite or not on the globe.
+    #[error("the pose at {time_us} us is not one: {reason}")]
+    NotAPose {
+        /// The pose's time.
+        time_us: i64,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// Why there is nothing to ask yet.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NotReady {
+    /// Odometry is missing.
+    #[error("there is no odometry yet")]
+    NoOdometry,
+    /// The window holds no detections, and the vehicle stands or creeps.
+    #[error("the vehicle drives at {speed_mps} m/s, too slowly to be localized by radar")]
+    TooSlow {
+        /// Speed over ground, metres per second.
+        speed_mps: f64,
+    },
+    /// The window holds no detections.
+    #[error("the window holds no detections; are the radars running?")]
+    NoDetections,
+    /// Nothing is known of where the vehicle is.
+    #[error("there is no rough pose to search around; push one, from GNSS or the last trip")]
+    NoPrior,
+    /// The prior cannot be placed on the map.
+    #[error(transparent)]
+    OffTheMap(#[from] geo::Error),
+}
+
+/// A request, and what ties its answer to the vehicle's odometry.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    /// What is sent.
+    pub request: v1::LocalizeRequest,
+    time_us: i64,
+    /// The odometry pose at that time, and the metres travelled until then.
+    odometry: (Pose2, f64),
+}
+
+impl Question {
+    /// The time asked for, microseconds since the Unix epoch: the newest scan that odometry covers.
+    #[must_use]
+    pub fn time_us(&self) -> i64 {
+        self.time_us
+    }
+}
+
+/// The pose believed, carried to the newest odometry.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Position {
+    /// The pose, its sigmas grown by [`Drift`].
+    pub pose: GeoPose,
+    /// Seconds since the pose of the last fix; `None` before the first.
+    pub fix_age_s: Option<f64>,
+}
+
+/// One vehicle: its window, and where it believes to be.
+#[derive(Debug, Clone)]
+pub struct Vehicle {
+    config: Config,
+    window: Window,
+    anchor: Option<Anchor>,
+    /// A pose from outside that odometry does not cover yet.
+    ahead: Option<GeoPose>,
+    last_fix_us: Option<i64>,
+}
+
+impl Vehicle {
+    /// A vehicle with these radars.
+    #[must_use]
+    pub fn new(config: Config, mounts: Vec<Mount>) -> Self {
+        Self { config, window: Window::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
+    }
+
+    /// Takes a scan; scans of several radars may come slightly out of order, and may run ahead of
+    /// odometry by less than the window.
+    ///
+    /// # Errors
+    /// When the scan is malformed, of an unknown radar, too late or far ahead of odometry.
+    pub fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
+        self.window.push_scan(scan)
+    }
+
+    /// Takes an odometry pose: microseconds since the Unix epoch, and the pose of the body in any
+    /// frame that stays the same.
+    ///
+    /// # Errors
+    /// When the time does not increase or the pose is not finite.
+    pub fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {
+        self.window.push_odometry(time_us, pose)?;
+        if let Some(pose) = self.ahead.take_if(|pose| pose.time_us <= time_us) {
+            // It was checked when it came; by now the window may have left it behind.
+            let _ = self.push_pose(pose);
+        }
+        Ok(())
+    }
+
+    /// Takes a rough pose from outside, usually GNSS. Of it and the pose believed, the better known
+    /// position and the better known heading are kept.
+    ///
+    /// # Errors
+    /// When the pose is not on the map or older than the window.
+    pub fn push_pose(&mut self, pose: GeoPose) -> Result<(), Error> {
+        check(&pose)?;
+        let time_us = pose.time_us;
+        if self.window.odometry().last().is_none_or(|(newest_us, _)| time_us > newest_us) {
+            self.ahead = Some(pose);
+            return Ok(());
+        }
+        let oldest_us = self.window.oldest_us();
+        let here = self.window.at(time_us).ok_or(Error::TooLate { time_us, oldest_us })?;
+        let improved = self.anchor.and_then(|anchor| anchor.improved(pose, here, &self.config.drift).ok());
+        self.anchor = Some(improved.unwrap_or_else(|| Anchor::new(pose, here)));
+        Ok(())
+    }
+
+    /// The request of the last seconds.
+    ///
+    /// # Errors
+    /// What is missing.
+    pub fn question(&self) -> Result<Question, NotReady> {
+        if self.window.odometry().is_empty() {
+            return Err(NotReady::NoOdometry);
+        }
+        let (Some(first), Some(last)) = (self.window.scans().first(), self.window.scans().last()) else {
+            return Err(match self.window.speed_mps() {
+                Some(speed_mps) if speed_mps < self.config.gate.min_speed_mps => {
+                    NotReady::TooSlow { speed_mps }
+                }
+                _ => NotReady::NoDetections,
+            });
+        };
+        let time_us = last.time_us;
+        let odometry = self.window.at(time_us).ok_or(NotReady::NoOdometry)?;
+        let anchor = self.anchor.ok_or(NotReady::NoPrior)?;
+        let prior = anchor.carried(time_us, odometry, &self.config.drift)?;
+        let batch = self.batch(first.time_us, time_us);
+        let request = v1::LocalizeRequest {
+            batch: Some(batch),
+            prior: Some(self.prior(&prior)),
+            requirement: Some(v1::Requirement {
+                integrity_risk: self.config.integrity_risk,
+                alert_limit_m: self.config.alert_limits.on_the_wire_m(),
+            }),
+        };
+        Ok(Question { request, time_us, odometry })
+    }
+
+    /// Judges the answer to a question; one that may be used becomes the pose believed.
+    ///
+    /// # Errors
+    /// Why the answer is not used; the pose believed stays as it was.
+    pub fn accept(&mut self, question: &Question, answer: &v1::LocalizeResponse) -> Result<Fix, Rejection> {
+        if self.last_fix_us.is_some_and(|fix_us| question.time_us <= fix_us) {
+            return Err(Rejection::Superseded);
+        }
+        let now_us = self.window.odometry().last().map_or(question.time_us, |(t, _)| t);
+        let fix = verdict::judge(answer, question.time_us, now_us, &self.config)?;
+        self.anchor = Some(Anchor::new(fix.pose, question.odometry));
+        self.last_fix_us = Some(question.time_us);
+        Ok(fix)
+    }
+
+    /// Where the vehicle believes to be at the newest odometry pose; `None` without a pose to
+    /// start from.
+    #[must_use]
+    pub fn position(&self) -> Option<Position> {
+        let (now_us, _) = self.window.odometry().last()?;
+        let pose = self.anchor?.carried(now_us, self.window.at(now_us)?, &self.config.drift).ok()?;
+        let fix_age_s = self.last_fix_us.map(|fix_us| (now_us - fix_us) as f64 * 1e-6);
+        Some(Position { pose, fix_age_s })
+    }
+
+    /// Detections dropped by the gates since the beginning, by the reason.
+    #[must_use]
+    pub fn dropped(&self) -> Dropped {
+        self.window.dropped()
+    }
+
+    /// Forgets the pose believed, not the window: for a vehicle whose other sensors contradict it.
+    pub fn forget_position(&mut self) {
+        (self.anchor, self.ahead, self.last_fix_us) = (None, None, None);
+    }
+
+    fn batch(&self, from_us: i64, to_us: i64) -> v1::Batch {
+        // One pose beyond each end, so that the ends can be interpolated.
+        let mut poses = self.window.odometry().clone();
+        poses.trim_before(from_us);
+        let until = poses.iter().position(|(t, _)| t >= to_us).map_or(poses.len(), |i| i + 1);
+        v1::Batch {
+            reference_time_us: to_us,
+            mounts: self.window.mounts().iter().map(wire::mount).collect(),
+            scans: Some(wire::scans(self.window.scans(), to_us, Columns::Geometry)),
+            odometry: Some(wire::odometry(poses.iter().take(until), to_us)),
+        }
+    }
+
+    fn prior(&self, pose: &GeoPose) -> v1::Prior {
+        v1::Prior {
+            pose: Some(v1::GeodeticPose {
+                latitude_deg: pose.at.lat_deg,
+                longitude_deg: pose.at.lon_deg,
+                yaw_rad: pose.yaw_rad,
+            }),
+            sigma_position_m: pose.sigma_position_m.max(self.config.min_prior_sigma_position_m),
+            sigma_yaw_rad: pose.sigma_yaw_rad.max(self.config.min_prior_sigma_yaw_rad),
+        }
+    }
+}
+
+fn check(pose: &GeoPose) -> Result<(), Error> {
+    let GeoPose { time_us, at, yaw_rad, sigma_position_m, sigma_yaw_rad } = *pose;
+    let refuse = |reason: String| Err(Error::NotAPose { time_us, reason });
+    if let Err(error) = geo::Zone::of(at) {
+        return refuse(error.to_string());
+    }
+    if !yaw_rad.is_finite() {
+        return refuse(format!("its heading is {yaw_rad}"));
+    }
+    let sigma = |s: f64| s.is_finite() && s >= 0.0;
+    if !sigma(sigma_position_m) || !sigma(sigma_yaw_rad) {
+        return refuse(format!("its one-sigma errors are {sigma_position_m} m and {sigma_yaw_rad} rad"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,141 @@
+//! A vehicle driving east, asked what it would ask.
+
+use super::*;
+use crate::testing::{T0, usable_answer};
+use echofix_core::geo::LatLon;
+
+const START: LatLon = LatLon { lat_deg: 30.0, lon_deg: -97.0 };
+
+fn gnss(time_us: i64, sigma_position_m: f64, sigma_yaw_rad: f64) -> GeoPose {
+    GeoPose { time_us, at: START, yaw_rad: 0.0, sigma_position_m, sigma_yaw_rad }
+}
+
+/// Drives straight for a time, odometry and one scan every 0.1 s.
+fn driven(speed_mps: f64, seconds: i64) -> Vehicle {
+    let mut vehicle = Vehicle::new(Config::default(), vec![Mount::IDENTITY]);
+    drive(&mut vehicle, speed_mps, 0, seconds * 10);
+    vehicle
+}
+
+fn drive(vehicle: &mut Vehicle, speed_mps: f64, from: i64, to: i64) {
+    for i in from..=to {
+        let time_us = T0 + i * 100_000;
+        vehicle.push_odometry(time_us, Pose2::new(speed_mps * i as f64 * 0.1, 0.0, 0.0)).unwrap();
+        let scan = Scan { time_us, range_m: vec![9.0; 3], azimuth_rad: vec![0.1; 3], ..Scan::default() };
+        vehicle.push_scan(scan).unwrap();
+    }
+}
+
+#[test]
+fn a_question_is_the_window_with_a_prior_at_its_newest_scan() {
+    let mut vehicle = driven(10.0, 8);
+    vehicle.push_pose(gnss(T0 + 7_000_000, 2.0, 0.02)).unwrap();
+    let question = vehicle.question().unwrap();
+    let v1::LocalizeRequest { batch, prior, .. } = question.request;
+    let (batch, prior) = (batch.unwrap(), prior.unwrap());
+    assert_eq!(batch.reference_time_us, T0 + 8_000_000);
+    let (scans, odometry) = (batch.scans.unwrap(), batch.odometry.unwrap());
+    assert_eq!(scans.sensor.len(), 51);
+    assert_eq!((scans.time_offset_us[0], scans.time_offset_us[50]), (-5_000_000, 0));
+    assert_eq!((odometry.time_offset_us[0], *odometry.time_offset_us.last().unwrap()), (-5_000_000, 0));
+    assert!(scans.radial_speed_mps.is_empty());
+    // One second at 10 m/s east of where GNSS had it: 96.5 km a degree at 30 degrees north.
+    let east_m = (prior.pose.unwrap().longitude_deg - START.lon_deg) * 96_486.0;
+    assert!((east_m - 10.0).abs() < 0.01, "{east_m}");
+    assert!(prior.sigma_position_m > 2.0 && prior.sigma_yaw_rad > 0.02 - 1e-12);
+}
+
+#[test]
+fn what_is_missing_is_said() {
+    let vehicle = Vehicle::new(Config::default(), vec![]);
+    assert_eq!(vehicle.question(), Err(NotReady::NoOdometry));
+    assert_eq!(driven(10.0, 2).question(), Err(NotReady::NoPrior));
+    assert!(matches!(driven(0.3, 2).question(), Err(NotReady::TooSlow { .. })));
+    let mut blind = Vehicle::new(Config::default(), vec![]);
+    blind.push_odometry(T0, Pose2::IDENTITY).unwrap();
+    blind.push_odometry(T0 + 100_000, Pose2::new(1.0, 0.0, 0.0)).unwrap();
+    assert_eq!(blind.question(), Err(NotReady::NoDetections));
+}
+
+#[test]
+fn a_vehicle_that_stops_long_enough_is_too_slow() {
+    let mut vehicle = driven(10.0, 5);
+    for i in 51..110 {
+        vehicle.push_odometry(T0 + i * 100_000, Pose2::new(50.0, 0.0, 0.0)).unwrap();
+    }
+    assert!(matches!(vehicle.question(), Err(NotReady::TooSlow { .. })));
+}
+
+#[test]
+fn a_fix_is_carried_to_now_and_becomes_the_next_prior() {
+    let mut vehicle = driven(10.0, 6);
+    vehicle.push_pose(gnss(T0 + 6_000_000, 5.0, 0.1)).unwrap();
+    let question = vehicle.question().unwrap();
+    drive(&mut vehicle, 10.0, 61, 70);
+    let mut answer = usable_answer(question.time_us());
+    answer.pose.as_mut().unwrap().latitude_deg = 30.001;
+    let fix = vehicle.accept(&question, &answer).unwrap();
+    assert!((fix.age_s - 1.0).abs() < 1e-9);
+    let position = vehicle.position().unwrap();
+    assert!((position.pose.at.lat_deg - 30.001).abs() < 1e-7);
+    let east_m = (position.pose.at.lon_deg - START.lon_deg) * 96_485.0;
+    assert!((east_m - 10.0).abs() < 0.01, "{east_m}");
+    assert!(position.pose.sigma_position_m > fix.pose.sigma_position_m);
+    assert!((position.fix_age_s.unwrap() - 1.0).abs() < 1e-9);
+    let prior = vehicle.question().unwrap().request.prior.unwrap();
+    assert!((prior.pose.unwrap().latitude_deg - 30.001).abs() < 1e-7);
+    assert!(prior.sigma_position_m >= Config::default().min_prior_sigma_position_m);
+}
+
+#[test]
+fn a_rejected_answer_changes_nothing() {
+    let mut vehicle = driven(10.0, 6);
+    vehicle.push_pose(gnss(T0 + 6_000_000, 5.0, 0.1)).unwrap();
+    let before = vehicle.position();
+    let question = vehicle.question().unwrap();
+    let answer =
+        v1::LocalizeResponse { status: v1::FixStatus::Ambiguous as i32, ..usable_answer(question.time_us()) };
+    assert!(matches!(vehicle.accept(&question, &answer), Err(Rejection::Status { .. })));
+    assert_eq!(vehicle.position(), before);
+}
+
+#[test]
+fn an_answer_that_was_overtaken_is_not_used() {
+    let mut vehicle = driven(10.0, 6);
+    vehicle.push_pose(gnss(T0 + 6_000_000, 5.0, 0.1)).unwrap();
+    let older = vehicle.question().unwrap();
+    drive(&mut vehicle, 10.0, 61, 65);
+    let newer = vehicle.question().unwrap();
+    vehicle.accept(&newer, &usable_answer(newer.time_us())).unwrap();
+    let answer = usable_answer(older.time_us());
+    assert_eq!(vehicle.accept(&older, &answer), Err(Rejection::Superseded));
+}
+
+#[test]
+fn poses_from_outside_help_where_they_are_better_and_wait_for_odometry() {
+    let mut vehicle = driven(10.0, 6);
+    vehicle.push_pose(gnss(T0 + 6_000_000, 0.2, 0.1)).unwrap();
+    vehicle.push_pose(gnss(T0 + 6_000_000, 5.0, 0.01)).unwrap();
+    let pose = vehicle.position().unwrap().pose;
+    assert!((pose.sigma_position_m, pose.sigma_yaw_rad) == (0.2, 0.01), "{pose:?}");
+    vehicle.push_pose(gnss(T0 + 6_050_000, 0.1, 0.1)).unwrap();
+    assert_eq!(vehicle.position().unwrap().pose, pose, "it is ahead of odometry");
+    drive(&mut vehicle, 10.0, 61, 61);
+    assert!(vehicle.position().unwrap().pose.sigma_position_m < 0.2);
+    vehicle.forget_position();
+    assert_eq!(vehicle.position(), None);
+}
+
+#[test]
+fn poses_that_are_none_are_refused() {
+    let mut vehicle = driven(10.0, 6);
+    for pose in [
+        gnss(T0, f64::NAN, 0.1),
+        gnss(T0, 1.0, -0.1),
+        GeoPose { yaw_rad: f64::INFINITY, ..gnss(T0, 1.0, 0.1) },
+        GeoPose { at: LatLon { lat_deg: 89.0, lon_deg: 0.0 }, ..gnss(T0, 1.0, 0.1) },
+    ] {
+        assert!(matches!(vehicle.push_pose(pose), Err(Error::NotAPose { .. })), "{pose:?}");
+    }
+    assert!(matches!(vehicle.push_pose(gnss(T0 - 1, 1.0, 0.1)), Err(Error::TooLate { .. })));
+}

@@ -1,0 +1,173 @@
+//! `LocalizationService`: where am I?
+
+mod encode;
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use echofix_core::batch::Batch;
+use echofix_proto::v1::localization_service_server::LocalizationService;
+use echofix_proto::v1::localize_stream_response::Outcome as Streamed;
+use echofix_proto::v1::{
+    FixStatus, LocalizeRequest, LocalizeResponse, LocalizeStreamRequest, LocalizeStreamResponse,
+};
+use tokio_stream::{Stream, StreamExt};
+use tonic::{Request, Response, Status, Streaming};
+use tonic_types::pb;
+
+use super::{decode, now_us};
+use encode::{BatchFacts, milliseconds, reason, refused, response};
+use super::status;
+use super::violation::{Violation, require, required};
+use crate::feed::{Feed, FixEvent};
+use crate::locating::{Answer, Locator, Question, verdict_word};
+use crate::metrics::{Metrics, Outcome};
+
+/// The service's localization half.
+pub struct LocalizationApi {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    locator: Arc<Locator>,
+    feed: Arc<Feed>,
+    metrics: Arc<Metrics>,
+}
+
+impl LocalizationApi {
+    /// Answers from a locator; tells the feed and the metrics what came of each question.
+    #[must_use]
+    pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
+        Self { inner: Arc::new(Inner { locator, feed, metrics }) }
+    }
+}
+
+#[tonic::async_trait]
+impl LocalizationService for LocalizationApi {
+    async fn localize(
+        &self,
+        request: Request<LocalizeRequest>,
+    ) -> Result<Response<LocalizeResponse>, Status> {
+        self.inner.answer(request.into_inner()).await.map(Response::new)
+    }
+
+    type LocalizeStreamStream = Pin<Box<dyn Stream<Item = Result<LocalizeStreamResponse, Status>> + Send>>;
+
+    async fn localize_stream(
+        &self,
+        request: Request<Streaming<LocalizeStreamRequest>>,
+    ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
+        let inner = Arc::clone(&self.inner);
+        let answers = request.into_inner().then(move |asked| {
+            let inner = Arc::clone(&inner);
+            async move {
+                let LocalizeStreamRequest { sequence, request } = asked?;
+                let outcome = match inner.answer(request.unwrap_or_default()).await {
+                    Ok(response) => Streamed::Response(response),
+                    Err(status) => Streamed::Error(as_message(&status)),
+                };
+                Ok(LocalizeStreamResponse { sequence, outcome: Some(outcome) })
+            }
+        });
+        Ok(Response::new(Box::pin(answers)))
+    }
+}
+
+/// A status as a message: its details already are an encoded `google.rpc.Status`.
+fn as_message(status: &Status) -> pb::Status {
+    let plain = || pb::Status {
+        code: status.code().into(),
+        message: status.message().to_owned(),
+        details: Vec::new(),
+    };
+    prost::Message::decode(status.details()).ok().filter(|s: &pb::Status| s.code != 0).unwrap_or_else(plain)
+}
+
+impl Inner {
+    async fn answer(&self, request: LocalizeRequest) -> Result<LocalizeResponse, Status> {
+        let asked = self.question(request).map_err(|violation| {
+            self.count("INVALID_ARGUMENT");
+            status::invalid(&violation)
+        })?;
+        let (at, reference_time_us) = (asked.question.at, asked.reference_time_us);
+        let batch = BatchFacts::of(&asked.question.batch);
+        match self.locator.locate(asked.question).await {
+            Ok(answer) => {
+                let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
+                self.tell(&answer, &response, at.lat_deg, at.lon_deg);
+                Ok(response)
+            }
+            Err(refusal) => {
+                self.count(reason(&refusal));
+                Err(refused(&refusal))
+            }
+        }
+    }
+
+    fn question(&self, request: LocalizeRequest) -> Result<Asked, Violation> {
+        let batch = decode::batch(request.batch, "batch")?;
+        let prior = required(request.prior, "prior")?;
+        let (at, yaw_rad) = decode::geodetic_pose(prior.pose, "prior.pose")?;
+        let sigma = |value: f64, field: &str| {
+            require(value.is_finite() && value > 0.0, field, "must be a positive number")
+        };
+        sigma(prior.sigma_position_m, "prior.sigma_position_m")?;
+        sigma(prior.sigma_yaw_rad, "prior.sigma_yaw_rad")?;
+        let requirement = request.requirement.unwrap_or_default();
+        let (risk, limit) = (requirement.integrity_risk, requirement.alert_limit_m);
+        require((0.0..1.0).contains(&risk), "requirement.integrity_risk", "must be a probability below 1")?;
+        require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
+        let gate = self.locator.config().gate();
+        let reference_time_us = batch.reference_time_us;
+        let batch = Batch::organise(&batch.scans, &batch.mounts, &batch.odometry, reference_time_us, &gate)
+            .map_err(|e| Violation::new("batch.odometry", e))?;
+        let question = Question {
+            batch,
+            at,
+            yaw_rad,
+            sigma_position_m: prior.sigma_position_m,
+            sigma_yaw_rad: prior.sigma_yaw_rad,
+            integrity_risk: (risk > 0.0).then_some(risk),
+        };
+        Ok(Asked { question, reference_time_us, alert_limit_m: limit })
+    }
+
+    fn count(&self, outcome: &'static str) {
+        self.metrics.fixes.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    /// Metrics and the operators' feed.
+    fn tell(&self, answer: &Answer, response: &LocalizeResponse, prior_lat_deg: f64, prior_lon_deg: f64) {
+        let word = match response.status() {
+            FixStatus::AboveAlertLimit => "ABOVE_ALERT_LIMIT",
+            _ => verdict_word(&answer.alignment.verdict),
+        };
+        self.count(word);
+        self.metrics.align_seconds.observe(answer.timing.align.as_secs_f64());
+        self.metrics.queue_seconds.observe(answer.timing.queued.as_secs_f64());
+        let outcome = if answer.timing.window_cached { "hit" } else { "miss" };
+        self.metrics.windows.get_or_create(&Outcome { outcome }).inc();
+        let correction = answer.alignment.correction;
+        let valid = response.protection.as_ref().is_some_and(|p| p.valid);
+        self.feed.fixes.publish(FixEvent {
+            answered_us: now_us(),
+            status: word,
+            reason: response.status_reason.clone(),
+            latitude_deg: answer.at.lat_deg,
+            longitude_deg: answer.at.lon_deg,
+            yaw_rad: answer.yaw_rad,
+            prior_latitude_deg: prior_lat_deg,
+            prior_longitude_deg: prior_lon_deg,
+            correction_m: correction.x_m.hypot(correction.y_m),
+            matched_fraction: answer.alignment.matched_fraction,
+            protection_m: valid.then(|| answer.protection.horizontal_m()),
+            align_ms: milliseconds(answer.timing.align),
+        });
+    }
+}
+
+struct Asked {
+    question: Question,
+    reference_time_us: i64,
+    alert_limit_m: f64,
+}

@@ -1,0 +1,163 @@
+//! Answers and refusals in the contract's words.
+
+use std::time::Duration;
+
+use echofix_core::align::verdict::Verdict;
+use echofix_core::batch::Batch;
+use echofix_core::pose::Pose2;
+use echofix_proto::v1::{
+    Alternative, Diagnostics, FixStatus, GeodeticPose, LocalizeResponse, MapState, ProtectionLevel,
+    RelativePose, UtmPose,
+};
+use tonic::Status;
+
+use crate::grpc::status;
+use crate::locating::{Answer, Refusal};
+
+/// Name and version of the algorithm, as answers carry it.
+const ALGORITHM: &str = "fft-refined/1";
+/// The calibration behind covariance and protection levels.
+const CALIBRATION: &str = "sim-town/1";
+
+/// What an answer says of its batch.
+pub(super) struct BatchFacts {
+    detections: u32,
+    duration_s: f64,
+    travelled_m: f64,
+}
+
+impl BatchFacts {
+    pub(super) fn of(batch: &Batch) -> Self {
+        let detections = u32::try_from(batch.detections).unwrap_or(u32::MAX);
+        Self { detections, duration_s: batch.duration_s, travelled_m: batch.travelled_m }
+    }
+}
+
+pub(super) fn response(answer: &Answer, time_us: i64, alert_limit_m: f64, batch: &BatchFacts) -> LocalizeResponse {
+    let alignment = &answer.alignment;
+    let (status, status_reason) = judged(answer, alert_limit_m);
+    let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = alignment.covariance;
+    let pose = alignment.pose;
+    let alternative = |(correction, relative_score): &(Pose2, f64)| Alternative {
+        correction: Some(relative(correction)),
+        relative_score: *relative_score,
+    };
+    LocalizeResponse {
+        status: status.into(),
+        status_reason,
+        time_us,
+        pose: Some(GeodeticPose {
+            latitude_deg: answer.at.lat_deg,
+            longitude_deg: answer.at.lon_deg,
+            yaw_rad: answer.yaw_rad,
+        }),
+        utm: Some(UtmPose {
+            epsg: answer.zone.epsg().into(),
+            easting_m: pose.x_m,
+            northing_m: pose.y_m,
+            yaw_rad: pose.yaw_rad,
+        }),
+        correction: Some(relative(&alignment.correction)),
+        covariance: vec![xx, xy, xt, yy, yt, tt],
+        protection: Some(ProtectionLevel {
+            along_m: answer.protection.along_m,
+            cross_m: answer.protection.cross_m,
+            yaw_rad: answer.protection.yaw_rad,
+            integrity_risk: answer.integrity_risk,
+            valid: alignment.verdict == Verdict::Usable,
+        }),
+        alternatives: alignment.alternatives.iter().map(alternative).collect(),
+        diagnostics: Some(diagnostics(answer, batch)),
+        map: Some(MapState {
+            epoch: answer.map.epoch,
+            newest_day: answer.map.newest_day.into(),
+            coverage: alignment.coverage,
+            tiles: answer.map.tiles as u32,
+            cells: answer.map.cells as u32,
+        }),
+        algorithm: ALGORITHM.to_owned(),
+        calibration: CALIBRATION.to_owned(),
+    }
+}
+
+fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
+    let alignment = &answer.alignment;
+    Diagnostics {
+        detections_sent: batch.detections,
+        detections_used: alignment.points_used as u32,
+        batch_cells: alignment.batch_cells as u32,
+        matched_fraction: alignment.matched_fraction,
+        batch_duration_s: batch.duration_s,
+        travelled_m: batch.travelled_m,
+        search_half_width_m: alignment.searched.0,
+        search_half_yaw_rad: alignment.searched.1,
+        score: alignment.score,
+        queued_ms: milliseconds(answer.timing.queued),
+        window_ms: milliseconds(answer.timing.window),
+        align_ms: milliseconds(answer.timing.align),
+    }
+}
+
+/// The status and, in words, what it rests on.
+fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
+    let horizontal_m = answer.protection.horizontal_m();
+    match answer.alignment.verdict {
+        Verdict::Usable if alert_limit_m > 0.0 && horizontal_m > alert_limit_m => {
+            let text = format!("the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m");
+            (FixStatus::AboveAlertLimit, text)
+        }
+        Verdict::Usable => {
+            let matched = answer.alignment.matched_fraction * 100.0;
+            (FixStatus::Usable, format!("{matched:.0} % of the batch lies on mapped structure, no other pose comes near"))
+        }
+        Verdict::Ambiguous { relative_score } => {
+            (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", relative_score * 100.0))
+        }
+        Verdict::TooLittleStructure { batch_cells, sigma_m } => (
+            FixStatus::TooLittleStructure,
+            format!("{batch_cells} occupied cells hold the pose to {sigma_m:.2} m (one sigma) only"),
+        ),
+        Verdict::DisagreesWithMap { matched_fraction } => (
+            FixStatus::DisagreesWithMap,
+            format!("only {:.0} % of the batch lies on mapped structure", matched_fraction * 100.0),
+        ),
+        Verdict::AtEdgeOfSearch => {
+            (FixStatus::AtEdgeOfSearch, "the best pose lies on the edge of the search; widen the prior's sigma".to_owned())
+        }
+        Verdict::TooLittleMap { coverage } => {
+            (FixStatus::TooLittleMap, format!("the map covers only {:.0} % of the batch", coverage * 100.0))
+        }
+    }
+}
+
+/// The refusal's reason, as `google.rpc.ErrorInfo` and the metrics name it.
+pub(super) fn reason(refusal: &Refusal) -> &'static str {
+    match refusal {
+        Refusal::NoMap { .. } => "NO_MAP",
+        Refusal::TooSlow { .. } => "TOO_SLOW",
+        Refusal::NoDetections => "NO_DETECTIONS",
+        Refusal::TooFewDetections { .. } => "TOO_FEW_DETECTIONS",
+        Refusal::PriorTooUncertain { .. } => "PRIOR_TOO_UNCERTAIN",
+        Refusal::Place(_) => "OUTSIDE_UTM",
+        Refusal::Overloaded { .. } => "OVERLOADED",
+        Refusal::Store(_) => "MAP_UNREADABLE",
+        Refusal::Broken(_) => "INTERNAL",
+    }
+}
+
+pub(super) fn refused(refusal: &Refusal) -> Status {
+    match refusal {
+        Refusal::Overloaded { retry_after, .. } => status::overloaded(refusal, *retry_after),
+        Refusal::Store(error) => status::store(error),
+        Refusal::Broken(_) => Status::internal(refusal.to_string()),
+        _ => status::refused(reason(refusal), refusal, &[]),
+    }
+}
+
+fn relative(pose: &Pose2) -> RelativePose {
+    RelativePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad }
+}
+
+pub(super) fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}

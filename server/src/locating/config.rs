@@ -1,0 +1,66 @@
+//! How to locate.
+
+use echofix_core::align::Search;
+use echofix_core::align::verdict::Integrity;
+use echofix_core::scan::Gate;
+use serde::{Deserialize, Serialize};
+
+/// The `[locating]` section; `echofix.toml` documents each key.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LocatingConfig {
+    /// Alignments that run at once; 0 for one a core.
+    pub threads: usize,
+    /// Requests that may wait for one of them.
+    pub queue: usize,
+    /// Memory for prepared windows, MiB.
+    pub window_cache_mib: u64,
+    /// Slower vehicles are refused, metres per second.
+    pub min_speed_mps: f64,
+    /// Detections farther away are dropped, metres.
+    pub max_range_m: f64,
+    /// Detections whose radial speed differs more from a stationary target's are dropped, metres
+    /// per second.
+    pub max_doppler_residual_mps: f64,
+    /// Batches with fewer detections after the gates are refused.
+    pub min_detections: usize,
+    /// The largest prior sigma of the position, metres.
+    pub max_sigma_position_m: f64,
+    /// The largest prior sigma of the heading, degrees.
+    pub max_sigma_yaw_deg: f64,
+    /// The integrity risk when the request names none.
+    pub integrity_risk: f64,
+}
+
+impl LocatingConfig {
+    /// Which detections are kept.
+    #[must_use]
+    pub fn gate(&self) -> Gate {
+        Gate {
+            min_speed_mps: self.min_speed_mps,
+            max_range_m: self.max_range_m,
+            max_doppler_residual_mps: self.max_doppler_residual_mps,
+        }
+    }
+
+    /// How to search: the paper's steps within the configured reach.
+    #[must_use]
+    pub fn search(&self) -> Search {
+        Search { extent_m: self.max_range_m, ..Search::default() }
+    }
+
+    /// What an answer must pass.
+    #[must_use]
+    pub fn integrity(&self) -> Integrity {
+        Integrity::default()
+    }
+
+    /// Alignments that run at once.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            n => n,
+        }
+    }
+}

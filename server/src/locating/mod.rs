@@ -1,0 +1,288 @@
+//! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds.
+
+mod cache;
+mod config;
+mod slots;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+pub use config::LocatingConfig;
+use echofix_core::align::verdict::{Protection, Verdict};
+use echofix_core::align::{self, Alignment, Prior};
+use echofix_core::batch::Batch;
+use echofix_core::geo::{self, Grid, LatLon, Zone};
+use echofix_core::window::Frame;
+
+use crate::store::{self, MapStore};
+use cache::WindowCache;
+use slots::Slots;
+
+/// A batch, what the vehicle believes, and what it needs.
+#[derive(Debug, Clone)]
+pub struct Question {
+    /// What it saw, gated and organised.
+    pub batch: Batch,
+    /// Where it believes to be at the batch's reference time.
+    pub at: LatLon,
+    /// Its heading, radians counter-clockwise from true east.
+    pub yaw_rad: f64,
+    /// One-sigma error of the position along each axis, metres.
+    pub sigma_position_m: f64,
+    /// One-sigma error of the heading, radians.
+    pub sigma_yaw_rad: f64,
+    /// The integrity risk the protection levels must hold for; `None` for the service's default.
+    pub integrity_risk: Option<f64>,
+}
+
+/// An alignment in words a vehicle understands.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    /// The alignment on the zone's grid.
+    pub alignment: Alignment,
+    /// The zone.
+    pub zone: Zone,
+    /// Corrected position.
+    pub at: LatLon,
+    /// Corrected heading, radians counter-clockwise from true east.
+    pub yaw_rad: f64,
+    /// Bounds of the error.
+    pub protection: Protection,
+    /// The integrity risk they hold for.
+    pub integrity_risk: f64,
+    /// The map it rests on.
+    pub map: MapUsed,
+    /// Where the time went.
+    pub timing: Timing,
+}
+
+/// The map an answer rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MapUsed {
+    /// Its epoch.
+    pub epoch: u64,
+    /// Last UTC day anything was seen in the window, counted from the Unix epoch.
+    pub newest_day: u16,
+    /// Tiles in the window.
+    pub tiles: usize,
+    /// Occupied cells in the window.
+    pub cells: usize,
+}
+
+/// Where the time went.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Timing {
+    /// Waiting for a compute slot.
+    pub queued: Duration,
+    /// Fetching tiles and preparing the window.
+    pub window: Duration,
+    /// Whether the window came from the cache.
+    pub window_cached: bool,
+    /// Aligning.
+    pub align: Duration,
+}
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum Refusal {
+    /// Nothing was ever seen around the prior.
+    #[error("the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first")]
+    NoMap {
+        /// Half width of the window, metres.
+        reach_m: f64,
+        /// Degrees.
+        lat_deg: f64,
+        /// Degrees.
+        lon_deg: f64,
+    },
+    /// The vehicle hardly moves.
+    #[error("the vehicle moves at {speed_mps:.2} m/s; radar at rest is mostly clutter, ask again above {least_mps} m/s")]
+    TooSlow {
+        /// Metres per second.
+        speed_mps: f64,
+        /// The least speed, metres per second.
+        least_mps: f64,
+    },
+    /// The batch is empty.
+    #[error("the batch holds no detections; send the scans of the last seconds")]
+    NoDetections,
+    /// The gates left too few detections.
+    #[error("{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch")]
+    TooFewDetections {
+        /// Left.
+        kept: usize,
+        /// Sent.
+        sent: u64,
+        /// Dropped.
+        too_slow: u64,
+        /// Dropped.
+        too_far: u64,
+        /// Dropped.
+        moving: u64,
+        /// Dropped.
+        without_pose: u64,
+        /// Needed.
+        least: usize,
+    },
+    /// The prior's sigma asks for a search wider than the service offers.
+    #[error("the prior's sigma of {what} is {given:.3}; at most {most:.3} can be searched")]
+    PriorTooUncertain {
+        /// Position or heading, with its unit.
+        what: &'static str,
+        /// Given.
+        given: f64,
+        /// The most.
+        most: f64,
+    },
+    /// The prior cannot be placed on the map.
+    #[error(transparent)]
+    Place(#[from] geo::Error),
+    /// All compute slots and places in the queue are taken.
+    #[error("{waiting} requests are waiting already; try again in {} ms", retry_after.as_millis())]
+    Overloaded {
+        /// Requests under way.
+        waiting: usize,
+        /// When to try again.
+        retry_after: Duration,
+    },
+    /// The map cannot be read.
+    #[error("the map cannot be read: {0}")]
+    Store(Arc<store::Error>),
+    /// The computation itself broke down.
+    #[error("the alignment broke down: {0}")]
+    Broken(String),
+}
+
+/// Answers questions from the map, on a bounded number of threads.
+pub struct Locator {
+    store: Arc<dyn MapStore>,
+    config: LocatingConfig,
+    windows: WindowCache,
+    slots: Slots,
+}
+
+impl Locator {
+    /// A locator over a map.
+    #[must_use]
+    pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
+        let windows = WindowCache::new(config.window_cache_mib, config.search());
+        let slots = Slots::new(config.threads(), config.queue);
+        Self { store, config, windows, slots }
+    }
+
+    /// Its configuration.
+    pub fn config(&self) -> &LocatingConfig {
+        &self.config
+    }
+
+    /// Answers one question; waits for a compute slot if need be.
+    ///
+    /// # Errors
+    /// What cannot be answered is refused with the reason.
+    pub async fn locate(self: &Arc<Self>, question: Question) -> Result<Answer, Refusal> {
+        self.check(&question)?;
+        let waiting = Instant::now();
+        let slot = self.slots.take().await?;
+        let queued = waiting.elapsed();
+        let locator = Arc::clone(self);
+        let work = move || {
+            let mut slot = slot;
+            locator.answer(&question, slot.workspace(), queued)
+        };
+        tokio::task::spawn_blocking(work).await.unwrap_or_else(|e| Err(Refusal::Broken(e.to_string())))
+    }
+
+    /// What needs no map to be refused.
+    fn check(&self, question: &Question) -> Result<(), Refusal> {
+        let Question { batch, sigma_position_m, sigma_yaw_rad, .. } = question;
+        let LocatingConfig { max_sigma_position_m, max_sigma_yaw_deg, min_detections, min_speed_mps, .. } =
+            self.config;
+        if batch.detections == 0 {
+            return Err(Refusal::NoDetections);
+        }
+        if batch.speed_mps < min_speed_mps {
+            return Err(Refusal::TooSlow { speed_mps: batch.speed_mps, least_mps: min_speed_mps });
+        }
+        if batch.points.len() < min_detections {
+            return Err(too_few(batch, min_detections));
+        }
+        let bound = |what, given: f64, most: f64| {
+            if given > most { Err(Refusal::PriorTooUncertain { what, given, most }) } else { Ok(()) }
+        };
+        bound("the position (m)", *sigma_position_m, max_sigma_position_m)?;
+        bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())
+    }
+
+    /// Window, alignment, bounds; blocks.
+    fn answer(
+        &self,
+        question: &Question,
+        workspace: &mut align::Workspace,
+        queued: Duration,
+    ) -> Result<Answer, Refusal> {
+        let grid = Grid::of(question.at)?;
+        let prior = Prior {
+            pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,
+            sigma_position_m: question.sigma_position_m,
+            sigma_yaw_rad: question.sigma_yaw_rad,
+            scale: grid.scale_factor(question.at)?,
+        };
+        let search = self.config.search();
+        let frame = Frame::around(
+            grid.zone(),
+            [prior.pose.x_m, prior.pose.y_m],
+            search.extent_m,
+            search.sigmas * prior.sigma_position_m,
+        );
+        let fetching = Instant::now();
+        let found = self.windows.get(&*self.store, frame).map_err(Refusal::Store)?;
+        let Some(found) = found else { return Err(no_map(frame, question.at)) };
+        let window = fetching.elapsed();
+        let aligning = Instant::now();
+        let integrity = self.config.integrity();
+        let alignment = align::align(&found.map, &question.batch, &prior, &search, &integrity, workspace);
+        let timing = Timing { queued, window, window_cached: found.cached, align: aligning.elapsed() };
+        let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
+        let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
+        let protection = alignment.protection(&integrity, integrity_risk);
+        let used = found.map.window();
+        let map = MapUsed {
+            epoch: found.epoch,
+            newest_day: used.newest_day,
+            tiles: used.tiles(),
+            cells: used.cells.len(),
+        };
+        Ok(Answer { alignment, zone: grid.zone(), at, yaw_rad, protection, integrity_risk, map, timing })
+    }
+}
+
+fn too_few(batch: &Batch, least: usize) -> Refusal {
+    let dropped = batch.dropped;
+    Refusal::TooFewDetections {
+        kept: batch.points.len(),
+        sent: batch.detections,
+        too_slow: dropped.too_slow,
+        too_far: dropped.too_far,
+        moving: dropped.moving,
+        without_pose: dropped.without_pose,
+        least,
+    }
+}
+
+fn no_map(frame: Frame, at: LatLon) -> Refusal {
+    let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
+    Refusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
+}
+
+/// The contract's word for a verdict, without its prefix.
+#[must_use]
+pub fn verdict_word(verdict: &Verdict) -> &'static str {
+    match verdict {
+        Verdict::Usable => "USABLE",
+        Verdict::Ambiguous { .. } => "AMBIGUOUS",
+        Verdict::TooLittleStructure { .. } => "TOO_LITTLE_STRUCTURE",
+        Verdict::DisagreesWithMap { .. } => "DISAGREES_WITH_MAP",
+        Verdict::AtEdgeOfSearch => "AT_EDGE_OF_SEARCH",
+        Verdict::TooLittleMap { .. } => "TOO_LITTLE_MAP",
+    }
+}

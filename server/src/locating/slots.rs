@@ -1,0 +1,98 @@
+//! Compute slots: alignment takes a core for a while, so only so many run and only so many wait.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use echofix_core::align::Workspace;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use super::Refusal;
+
+/// What a refused request is told to wait.
+const RETRY_AFTER: Duration = Duration::from_millis(200);
+
+/// Slots with their buffers.
+pub(super) struct Slots {
+    places: usize,
+    /// Requests that run or wait.
+    admitted: Arc<Semaphore>,
+    /// Requests that run.
+    running: Arc<Semaphore>,
+    workspaces: Arc<Mutex<Vec<Workspace>>>,
+}
+
+/// A slot, given back when dropped.
+pub(super) struct Slot {
+    workspace: Option<Workspace>,
+    home: Arc<Mutex<Vec<Workspace>>>,
+    _admitted: OwnedSemaphorePermit,
+    _running: OwnedSemaphorePermit,
+}
+
+impl Slots {
+    pub(super) fn new(threads: usize, queue: usize) -> Self {
+        let places = threads + queue;
+        Self {
+            places,
+            admitted: Arc::new(Semaphore::new(places)),
+            running: Arc::new(Semaphore::new(threads)),
+            workspaces: Arc::default(),
+        }
+    }
+
+    /// Waits for a slot in order of arrival; refuses at once when too many wait already.
+    pub(super) async fn take(&self) -> Result<Slot, Refusal> {
+        let overloaded = |_| Refusal::Overloaded { waiting: self.places, retry_after: RETRY_AFTER };
+        let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(overloaded)?;
+        let running = Arc::clone(&self.running).acquire_owned().await;
+        let running = running.map_err(|e| Refusal::Broken(e.to_string()))?;
+        let workspace = lock(&self.workspaces).pop().unwrap_or_default();
+        let home = Arc::clone(&self.workspaces);
+        Ok(Slot { workspace: Some(workspace), home, _admitted: admitted, _running: running })
+    }
+}
+
+impl Slot {
+    pub(super) fn workspace(&mut self) -> &mut Workspace {
+        self.workspace.get_or_insert_default()
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        lock(&self.home).extend(self.workspace.take());
+    }
+}
+
+fn lock(workspaces: &Mutex<Vec<Workspace>>) -> std::sync::MutexGuard<'_, Vec<Workspace>> {
+    // A panic while holding the lock leaves a list that is still a list.
+    workspaces.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn what_exceeds_slots_and_queue_is_refused_at_once() {
+        let slots = Slots::new(1, 1);
+        let first = slots.take().await.unwrap();
+        let mut second = Box::pin(slots.take());
+        assert!(tokio::time::timeout(Duration::from_millis(20), &mut second).await.is_err(), "it waits");
+        assert!(matches!(slots.take().await, Err(Refusal::Overloaded { waiting: 2, .. })));
+        drop(first);
+        let second = second.await.unwrap();
+        drop(second);
+        assert!(slots.take().await.is_ok());
+    }
+
+    #[tokio::test]
+    async fn a_request_that_hangs_up_leaves_the_queue() {
+        let slots = Slots::new(1, 1);
+        let _first = slots.take().await.unwrap();
+        let hung_up = tokio::time::timeout(Duration::from_millis(5), slots.take()).await;
+        assert!(hung_up.is_err());
+        let waits = tokio::time::timeout(Duration::from_millis(5), slots.take()).await;
+        assert!(waits.is_err(), "there is a place in the queue again");
+    }
+}
