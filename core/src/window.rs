@@ -179,7 +179,7 @@ mod tests {
     #[test]
     fn neighbours_share_a_window() {
         let a = Frame::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
-        let b = Frame::around(zone(), [600_003.9, 3_300_003.9], 50.0, 6.0);
+        let b = Frame::around(zone(), [600_002.1, 3_300_002.9], 50.0, 6.0);
         assert_eq!(a, b);
         assert_eq!(a.side, 1200);
     }

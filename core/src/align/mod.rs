@@ -177,7 +177,15 @@ pub fn align(
         .collect();
     found.sort_by(|a, b| b.score.total_cmp(&a.score));
     let batch_cells = workspace.raster.cells();
-    let case =
-        Case { map, prior, search, correlation: &correlation, points: &points, found: &found, batch_cells };
+    let case = Case {
+        map,
+        batch,
+        prior,
+        search,
+        correlation: &correlation,
+        points: &points,
+        found: &found,
+        batch_cells,
+    };
     case.judge(integrity)
 }

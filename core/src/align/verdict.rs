@@ -6,6 +6,7 @@
 
 use super::refine::{Refined, Score, inverse_of_positive};
 use super::{Alignment, Correlation, PreparedMap, Prior, Search};
+use crate::batch::Batch;
 use crate::pose::{Pose2, wrap_angle};
 
 /// What an answer must pass, and the calibration of its covariance.
@@ -29,6 +30,11 @@ pub struct Integrity {
     pub floor_m: f64,
     /// The same for the heading, radians.
     pub floor_yaw_rad: f64,
+    /// Scale error of the odometry that organised the batch: one sigma, metres a metre. Half of
+    /// what it adds up to over the batch shows along the heading.
+    pub odometry_scale: f64,
+    /// Heading drift of that odometry: one sigma, radians a second.
+    pub odometry_yaw_radps: f64,
     /// Factor on the protection levels that covers the heavier-than-Gaussian tail.
     pub tail: f64,
 }
@@ -45,6 +51,8 @@ impl Default for Integrity {
             temperature: 60.0,
             floor_m: 0.06,
             floor_yaw_rad: 0.001,
+            odometry_scale: 0.005,
+            odometry_yaw_radps: 0.02_f64.to_radians(),
             tail: 1.3,
         }
     }
@@ -122,6 +130,7 @@ const NOTHING: Refined =
 /// The facts an answer is judged by.
 pub(super) struct Case<'a> {
     pub map: &'a PreparedMap,
+    pub batch: &'a Batch,
     pub prior: &'a Prior,
     pub search: &'a Search,
     pub correlation: &'a Correlation,
@@ -200,7 +209,8 @@ impl Case<'_> {
         others
     }
 
-    /// The inverse curvature of the summed score, divided by the temperature, above the floor.
+    /// The inverse curvature of the summed score, times the temperature, and what neither it nor
+    /// any number of returns can tell: the map's own error and the odometry's drift.
     fn covariance(&self, best: &Refined, integrity: &Integrity) -> [[f64; 3]; 3] {
         let independent = self.points.len() as f64 / integrity.temperature;
         let information = best.hessian.map(|row| row.map(|v| -v * independent));
@@ -209,9 +219,15 @@ impl Case<'_> {
             [0.0, f64::INFINITY, 0.0],
             [0.0, 0.0, f64::INFINITY],
         ]);
-        covariance[0][0] += integrity.floor_m.powi(2);
-        covariance[1][1] += integrity.floor_m.powi(2);
-        covariance[2][2] += integrity.floor_yaw_rad.powi(2);
+        let floor = integrity.floor_m.powi(2);
+        let drift = (0.5 * integrity.odometry_scale * self.batch.travelled_m).powi(2);
+        let (s, c) = self.corrected(&best.correction).yaw_rad.sin_cos();
+        covariance[0][0] += floor + c * c * drift;
+        covariance[0][1] += c * s * drift;
+        covariance[1][0] += c * s * drift;
+        covariance[1][1] += floor + s * s * drift;
+        let turned = 0.5 * integrity.odometry_yaw_radps * self.batch.duration_s;
+        covariance[2][2] += integrity.floor_yaw_rad.powi(2) + turned.powi(2);
         covariance
     }
 }
