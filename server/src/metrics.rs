@@ -68,14 +68,20 @@ impl Metrics {
         seconds("commit", "Time from an upload's last byte to its acknowledgement", &self.commit_seconds);
         r.register("windows", "Windows found in the cache and built anew", self.windows.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
-        r.register("unfolded_contributions", "Contributions in the journal not folded yet", self.unfolded.clone());
+        r.register(
+            "unfolded_contributions",
+            "Contributions in the journal not folded yet",
+            self.unfolded.clone(),
+        );
     }
 
     /// All metrics as OpenMetrics text.
     #[must_use]
     pub fn render(&self) -> String {
         let mut text = String::new();
-        encode(&mut text, &self.registry).expect("writing to a string cannot fail");
+        if let Err(error) = encode(&mut text, &self.registry) {
+            tracing::error!(%error, "the metrics cannot be written down");
+        }
         text
     }
 }

@@ -15,13 +15,13 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
 
-use super::{decode, now_us};
-use encode::{BatchFacts, milliseconds, reason, refused, response};
 use super::status;
 use super::violation::{Violation, require, required};
+use super::{decode, now_us};
 use crate::feed::{Feed, FixEvent};
 use crate::locating::{Answer, Locator, Question, verdict_word};
 use crate::metrics::{Metrics, Outcome};
+use encode::{BatchFacts, milliseconds, reason, refused, response};
 
 /// The service's localization half.
 pub struct LocalizationApi {

@@ -86,7 +86,9 @@ pub struct Timing {
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
     /// Nothing was ever seen around the prior.
-    #[error("the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first")]
+    #[error(
+        "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first"
+    )]
     NoMap {
         /// Half width of the window, metres.
         reach_m: f64,
@@ -96,7 +98,9 @@ pub enum Refusal {
         lon_deg: f64,
     },
     /// The vehicle hardly moves.
-    #[error("the vehicle moves at {speed_mps:.2} m/s; radar at rest is mostly clutter, ask again above {least_mps} m/s")]
+    #[error(
+        "the vehicle moves at {speed_mps:.2} m/s; radar at rest is mostly clutter, ask again above {least_mps} m/s"
+    )]
     TooSlow {
         /// Metres per second.
         speed_mps: f64,
@@ -107,7 +111,9 @@ pub enum Refusal {
     #[error("the batch holds no detections; send the scans of the last seconds")]
     NoDetections,
     /// The gates left too few detections.
-    #[error("{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch")]
+    #[error(
+        "{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch"
+    )]
     TooFewDetections {
         /// Left.
         kept: usize,

@@ -3,6 +3,27 @@
 //! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
 //! from the journal in its order, and can be folded again from nothing. The embedded default keeps
 //! the journal in checksummed segment files and the tiles in sled.
+//!
+//! - [`MapStore`]: what every storage engine offers, and its values.
+//! - [`EmbeddedStore`]: the engine of one machine; its parts, from the disk upwards:
+//!   `data_dir` (layout, lock, key), `journal`, `record` (an upload's bytes), `index` (which
+//!   uploads are counted, where they lie), `tiles` (sled), `catalog`, `fold` (journal to tiles).
+
+mod catalog;
+mod data_dir;
+mod embedded;
+mod fold;
+mod index;
+mod journal;
+mod record;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+mod tiles;
+mod varint;
+
+pub use embedded::{EmbeddedStore, Options};
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -36,6 +57,17 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// Another process has the data directory open.
+    #[error("{0} is in use by another server; give each its own data directory")]
+    InUse(String),
+    /// The map is being folded from the journal and is not whole yet.
+    #[error("the map is being rebuilt: {folded} of {journaled} uploads are folded; try again later")]
+    Rebuilding {
+        /// Uploads folded.
+        folded: u64,
+        /// Uploads in the journal.
+        journaled: u64,
+    },
     /// The store stopped accepting writes after a failure that may have lost one.
     #[error("the journal stopped after a write failed: {0}; restart the service once the disk is sound")]
     Stopped(String),
@@ -48,6 +80,9 @@ pub struct Upload {
     pub id: Uuid,
     /// Who and when.
     pub pass: Pass,
+    /// Uploads of days before this one are no longer taken, so the votes of their passes may be
+    /// forgotten; 0 forgets none. Kept with the upload, so that folding it again gives the same.
+    pub forget_before: u16,
     /// What it tells the map. Near a zone border it holds the tiles of both zones.
     pub contribution: Contribution,
     /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
@@ -112,17 +147,38 @@ pub struct Totals {
     pub newest_day: u16,
 }
 
+/// Can the map be read?
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum State {
+    /// Not yet: it does not show all uploads that were counted before the start.
+    #[default]
+    Rebuilding,
+    /// Yes.
+    Serving,
+    /// As of the epoch; folding on fails and is tried again.
+    Stalled,
+}
+
 /// How far the journal reaches and how far it is folded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Progress {
+    /// Can the map be read?
+    pub state: State,
     /// Epoch of the map that is served: the number of the last contribution folded into it.
     pub epoch: u64,
     /// Number of the last contribution in the journal.
     pub journaled: u64,
 }
 
+fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {
+    move |source| Error::Io { doing, source }
+}
+
 /// The map and its journal. Every call may block on the disk: keep it off the async threads.
 pub trait MapStore: Send + Sync {
+    /// Keyed hash of a contributor's pseudonym; the key never leaves the store.
+    fn contributor(&self, pseudonym: &str) -> u64;
+
     /// Writes an upload to the journal and syncs it, exactly once by its id. Folding follows in
     /// the background, see [`MapStore::progress`].
     ///
@@ -136,17 +192,22 @@ pub trait MapStore: Send + Sync {
     /// When the disk refuses or the record is damaged.
     fn counted(&self, id: Uuid) -> Result<Option<Receipt>, Error>;
 
-    /// One tile; `None` where nothing was ever seen.
+    /// One tile, in its newest version; `None` where nothing was ever seen.
     ///
     /// # Errors
-    /// When the disk refuses or the tile is damaged.
+    /// When the disk refuses, the tile is damaged, or the map is being rebuilt.
     fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error>;
 
     /// The catalog's entries of a zone's block of tiles, in order of their id.
     ///
     /// # Errors
-    /// When the disk refuses.
-    fn catalog(&self, zone: Zone, x: RangeInclusive<i32>, y: RangeInclusive<i32>) -> Result<Vec<TileInfo>, Error>;
+    /// When the disk refuses or the map is being rebuilt.
+    fn catalog(
+        &self,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Vec<TileInfo>, Error>;
 
     /// The zones that hold any tile.
     fn zones(&self) -> Vec<Zone>;

@@ -33,7 +33,12 @@ impl BatchFacts {
     }
 }
 
-pub(super) fn response(answer: &Answer, time_us: i64, alert_limit_m: f64, batch: &BatchFacts) -> LocalizeResponse {
+pub(super) fn response(
+    answer: &Answer,
+    time_us: i64,
+    alert_limit_m: f64,
+    batch: &BatchFacts,
+) -> LocalizeResponse {
     let alignment = &answer.alignment;
     let (status, status_reason) = judged(answer, alert_limit_m);
     let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = alignment.covariance;
@@ -103,12 +108,17 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
     let horizontal_m = answer.protection.horizontal_m();
     match answer.alignment.verdict {
         Verdict::Usable if alert_limit_m > 0.0 && horizontal_m > alert_limit_m => {
-            let text = format!("the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m");
+            let text = format!(
+                "the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m"
+            );
             (FixStatus::AboveAlertLimit, text)
         }
         Verdict::Usable => {
             let matched = answer.alignment.matched_fraction * 100.0;
-            (FixStatus::Usable, format!("{matched:.0} % of the batch lies on mapped structure, no other pose comes near"))
+            (
+                FixStatus::Usable,
+                format!("{matched:.0} % of the batch lies on mapped structure, no other pose comes near"),
+            )
         }
         Verdict::Ambiguous { relative_score } => {
             (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", relative_score * 100.0))
@@ -121,9 +131,10 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
             FixStatus::DisagreesWithMap,
             format!("only {:.0} % of the batch lies on mapped structure", matched_fraction * 100.0),
         ),
-        Verdict::AtEdgeOfSearch => {
-            (FixStatus::AtEdgeOfSearch, "the best pose lies on the edge of the search; widen the prior's sigma".to_owned())
-        }
+        Verdict::AtEdgeOfSearch => (
+            FixStatus::AtEdgeOfSearch,
+            "the best pose lies on the edge of the search; widen the prior's sigma".to_owned(),
+        ),
         Verdict::TooLittleMap { coverage } => {
             (FixStatus::TooLittleMap, format!("the map covers only {:.0} % of the batch", coverage * 100.0))
         }

@@ -1,0 +1,138 @@
+// The side panel: the service in numbers.
+
+import { NONE, byId, el, numbers } from './dom.js';
+import { ago, count, figure, percent, quantile, size, words } from './format.js';
+import { families, familyOf } from './verdicts.js';
+
+const SHOWN_FIXES = 7;
+const SHOWN_UPLOADS = 6;
+/** Fixes that rates and shares are taken over. */
+const RECENT = 200;
+
+export function showTotals(map) {
+  const { totals } = map;
+  const [bytes, unit] = size(totals.bytes);
+  numbers(byId('totals'), [
+    ['epoch', count(map.epoch)],
+    ['tiles', count(totals.tiles)],
+    ['area', figure(totals.area_km2), 'km²'],
+    ['cells', count(totals.cells)],
+    ['stored', bytes, unit],
+    ['newest', totals.newest_date ?? 'none'],
+  ]);
+  byId('empty').hidden = totals.tiles > 0;
+}
+
+export function showProgress({ state, epoch, journaled }) {
+  const note = byId('backlog');
+  const waiting = journaled - epoch;
+  note.hidden = waiting === 0 && state === 'serving';
+  note.textContent =
+    state === 'rebuilding' ? `Rebuilding: ${count(epoch)} of ${count(journaled)} uploads folded.`
+    : state === 'stalled' ? `Folding fails and is tried again; ${count(waiting)} uploads wait.`
+    : `${count(waiting)} ${waiting === 1 ? 'upload waits' : 'uploads wait'} to be folded.`;
+}
+
+export function showHealth({ ready, reason }) {
+  chip(byId('ready'), ready ? 'ready' : 'not ready', ready ? 'good' : 'bad');
+  const alert = byId('alert');
+  alert.hidden = ready;
+  alert.textContent = ready ? '' : `Not ready: ${reason}`;
+}
+
+export function showStream(state) {
+  const [text, tone] = { live: ['live', 'good'], lost: ['reconnecting', 'bad'] }[state];
+  chip(byId('stream'), text, tone);
+}
+
+function chip(element, text, tone) {
+  element.dataset.tone = tone;
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** `fixes` newest first; `choose` is called with a fix. */
+export function showFixes(fixes, choose) {
+  const recent = fixes.slice(0, RECENT);
+  const minute_ago = (Date.now() - 60_000) * 1000;
+  const rate = fixes.filter((fix) => fix.answered_us > minute_ago).length;
+  const usable = recent.filter((fix) => fix.status === 'USABLE');
+  const or = (list, text) => (list.length ? text() : NONE);
+  numbers(byId('fixes-numbers'), [
+    ['last minute', count(rate)],
+    ['usable', or(recent, () => percent(usable.length / recent.length))],
+    ['correction', or(usable, () => figure(quantile(usable.map((f) => f.correction_m)))), 'm'],
+    ['matched', or(recent, () => percent(quantile(recent.map((f) => f.matched_fraction))))],
+    ['align p50', or(recent, () => figure(quantile(recent.map((f) => f.align_ms)))), 'ms'],
+    ['align p95', or(recent, () => figure(quantile(recent.map((f) => f.align_ms), 0.95))), 'ms'],
+  ]);
+  byId('fixes-note').textContent = recent.length ? `medians of the last ${recent.length}` : 'none yet';
+  strip(byId('strip'), recent);
+  key(recent);
+  const row = (fix) => {
+    const family = familyOf(fix.status);
+    const dot = el('i', { className: 'dot' });
+    dot.style.background = family.color;
+    return el('li', {}, el(
+      'button', { type: 'button', title: fix.reason, onclick: () => choose(fix) },
+      dot, el('b', { textContent: words(fix.status) }),
+      el('span', { textContent: `${figure(fix.correction_m)} m` }),
+      el('span', { textContent: percent(fix.matched_fraction) }),
+      el('span', { textContent: `${fix.align_ms.toFixed(0)} ms` }),
+      el('time', { textContent: ago(fix.answered_us) }),
+    ));
+  };
+  fill(byId('fixes'), fixes.slice(0, SHOWN_FIXES).map(row));
+}
+
+/** The verdicts as a strip of bars: colour tells the verdict, height the matched fraction. */
+function strip(canvas, fixes) {
+  canvas.hidden = fixes.length === 0;
+  const ratio = window.devicePixelRatio;
+  const { clientWidth: width, clientHeight: height } = canvas;
+  canvas.width = width * ratio;
+  canvas.height = height * ratio;
+  const pen = canvas.getContext('2d');
+  pen.scale(ratio, ratio);
+  const bar = 4;
+  fixes.slice(0, Math.floor(width / bar)).forEach((fix, i) => {
+    const tall = 4 + (height - 4) * fix.matched_fraction;
+    pen.fillStyle = familyOf(fix.status).color;
+    pen.fillRect(width - (i + 1) * bar, height - tall, bar - 1.5, tall);
+  });
+}
+
+function key(fixes) {
+  const entry = (family) => {
+    const share = fixes.filter((fix) => familyOf(fix.status) === family).length;
+    const dot = el('i', { className: 'dot' });
+    dot.style.background = family.color;
+    return share ? el('li', {}, dot, `${family.name} ${share}`) : null;
+  };
+  byId('verdicts').replaceChildren(...families.map(entry).filter(Boolean));
+}
+
+/** `uploads` newest first. */
+export function showUploads(uploads) {
+  const tone = (outcome) => ({ COUNTED: 'good', DUPLICATE: 'wait' })[outcome] ?? 'bad';
+  const row = (upload) =>
+    el(
+      'li', { title: upload.upload_id },
+      el('div', {},
+        el('i', { className: 'dot', data: { tone: tone(upload.outcome) } }),
+        el('b', { textContent: words(upload.outcome) }),
+        el('span', { textContent: upload.detections_counted ? `${count(upload.detections_counted)} det` : '' }),
+        el('span', { textContent: upload.tiles ? `${upload.tiles} tiles` : '' }),
+        el('span', { textContent: upload.agreement == null ? 'new' : percent(upload.agreement) }),
+        el('time', { textContent: ago(upload.answered_us) }),
+      ),
+    );
+  const none = el('li', { className: 'none', textContent: 'None since the service started.' });
+  fill(byId('uploads'), uploads.length ? uploads.slice(0, SHOWN_UPLOADS).map(row) : [none]);
+}
+
+/** Replaces a list's rows and keeps the keyboard where it was. */
+function fill(list, rows) {
+  const focused = [...list.querySelectorAll('button')].indexOf(document.activeElement);
+  list.replaceChildren(...rows);
+  if (focused >= 0) list.querySelectorAll('button')[focused]?.focus();
+}

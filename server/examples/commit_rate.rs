@@ -1,0 +1,61 @@
+//! How many uploads a second does the store take, each on disk before it is answered, and how fast
+//! does it fold? `cargo run --release -p echofix-server --example commit_rate -- <directory>`
+#![expect(clippy::print_stdout, reason = "it prints what it measures")]
+
+use std::error::Error;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use echofix_core::evidence::{CellHits, Contribution, Pass};
+use echofix_core::geo::{TileId, Zone};
+use echofix_server::store::{EmbeddedStore, MapStore, Options, Upload};
+use uuid::Uuid;
+
+const TILES: i32 = 12;
+const CELLS: u32 = 400;
+const TIME: Duration = Duration::from_secs(5);
+
+fn upload(zone: Zone, number: u32) -> Upload {
+    let hits = |i: u32| CellHits { index: i * 600 + number % 600, hits: 2, offset_sum: [100 + i % 99, 300] };
+    // A drive through a neighbourhood of its own; every fiftieth drive is the same.
+    let home = (number % 50) as i32 * TILES;
+    let tiles = (0..TILES).map(|x| (TileId { zone, y: 65_000, x: home + x }, (0..CELLS).map(hits).collect()));
+    let contribution =
+        Contribution { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
+    let pass = Pass { day: 20_000 + (number / 1000) as u16, contributor: u64::from(number) };
+    Upload { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let data_dir = std::env::args_os().nth(1).map(PathBuf::from).ok_or("name a directory to measure in")?;
+    let store = EmbeddedStore::open(&Options { data_dir, cache_bytes: 256 << 20, segment_bytes: 64 << 20 })?;
+    let zone = Zone::from_epsg(32614)?;
+    for threads in [1, 4, 16, 64] {
+        let before = *store.progress().borrow();
+        let began = Instant::now();
+        std::thread::scope(|scope| {
+            let commit = |thread: u32| {
+                let store = &store;
+                let mut number = thread * 100_000;
+                while began.elapsed() < TIME {
+                    store.commit(upload(zone, number)).expect("the disk takes it");
+                    number += 1;
+                }
+            };
+            (0..threads).for_each(|thread| drop(scope.spawn(move || commit(thread))));
+        });
+        let committed = store.progress().borrow().journaled - before.journaled;
+        println!(
+            "{threads} at once: {:.0} uploads/s on disk",
+            committed as f64 / began.elapsed().as_secs_f64()
+        );
+        let mut progress = store.progress();
+        let done = |p: echofix_server::store::Progress| p.epoch == p.journaled;
+        while !done(*progress.borrow_and_update()) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        println!("  folded at {:.0} uploads/s", committed as f64 / began.elapsed().as_secs_f64());
+    }
+    println!("{:?}", store.totals());
+    Ok(())
+}

@@ -1,0 +1,56 @@
+//! The command line of the service.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::config::{Config, Error, Sources};
+
+/// What the service can be told on its command line.
+#[derive(Debug, Clone, Default, Args)]
+pub struct ServeArgs {
+    /// File with the configuration keys to change; without it the defaults hold
+    #[arg(long, value_name = "PATH", env = "ECHOFIX_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Where to keep everything; overrides `store.data_dir`
+    #[arg(long, value_name = "DIR")]
+    pub data_dir: Option<PathBuf>,
+    /// Where vehicles connect; overrides `grpc.listen`
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub grpc_listen: Option<SocketAddr>,
+    /// Where operators connect; overrides `http.listen`
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub http_listen: Option<SocketAddr>,
+    /// Overrides any key, for instance `--set mapping.max_range_m=60`; may be repeated
+    #[arg(long = "set", value_name = "SECTION.KEY=VALUE", value_parser = key_and_value)]
+    pub settings: Vec<(String, String)>,
+    /// Write the addresses in use to this file, as JSON
+    #[arg(long, value_name = "PATH")]
+    pub addr_file: Option<PathBuf>,
+}
+
+impl ServeArgs {
+    /// The configuration in force: defaults, file, environment, flags.
+    ///
+    /// # Errors
+    /// The first key that is unknown, of the wrong kind, or out of range, and where it was found.
+    pub fn config(&self) -> Result<Config, Error> {
+        let mut settings = self.settings.clone();
+        let mut set = |key: &str, value: Option<String>| settings.extend(value.map(|v| (key.to_owned(), v)));
+        set("store.data_dir", self.data_dir.as_ref().map(|dir| dir.display().to_string()));
+        set("grpc.listen", self.grpc_listen.map(|address| address.to_string()));
+        set("http.listen", self.http_listen.map(|address| address.to_string()));
+        // Variables that are not Unicode cannot be ours.
+        let text = |(k, v): (std::ffi::OsString, std::ffi::OsString)| {
+            Some((k.into_string().ok()?, v.into_string().ok()?))
+        };
+        let environment = std::env::vars_os().filter_map(text).collect();
+        Config::load(&Sources { file: self.config.clone(), environment, settings })
+    }
+}
+
+fn key_and_value(text: &str) -> Result<(String, String), String> {
+    let (key, value) = text.split_once('=').ok_or("expected SECTION.KEY=VALUE")?;
+    Ok((key.trim().to_owned(), value.trim().to_owned()))
+}

@@ -1,0 +1,60 @@
+//! Values that would make no sense.
+
+use super::{Config, Error};
+
+impl Config {
+    pub(super) fn check(&self) -> Result<(), Error> {
+        let Self { store, mapping, limits, .. } = self;
+        let positive = "must be above 0";
+        let rules = [
+            ("store.cache_mib", store.cache_mib > 0, positive),
+            ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
+            ("mapping.max_sigma_position_m", mapping.max_sigma_position_m > 0.0, positive),
+            ("mapping.max_sigma_yaw_deg", mapping.max_sigma_yaw_deg > 0.0, positive),
+            ("mapping.min_speed_mps", mapping.min_speed_mps >= 0.0, "must not be negative"),
+            (
+                "mapping.max_range_m",
+                (1.0..=500.0).contains(&mapping.max_range_m),
+                "must lie within 1 and 500",
+            ),
+            ("mapping.max_doppler_residual_mps", mapping.max_doppler_residual_mps > 0.0, positive),
+            ("mapping.max_pose_gap_s", mapping.max_pose_gap_s > 0.0, positive),
+            (
+                "mapping.max_speed_mps",
+                mapping.max_speed_mps > mapping.min_speed_mps,
+                "must exceed min_speed_mps",
+            ),
+            ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
+            ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
+            ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),
+            (
+                "mapping.uploads_at_once",
+                (1..=256).contains(&mapping.uploads_at_once),
+                "must lie within 1 and 256",
+            ),
+            ("mapping.max_unfolded", mapping.max_unfolded > 0, positive),
+            ("limits.connections", limits.connections > 0, positive),
+            ("limits.streams_per_connection", limits.streams_per_connection > 0, positive),
+            (
+                "limits.message_bytes",
+                (1024..=64 << 20).contains(&limits.message_bytes),
+                "must lie within 1024 and 67108864",
+            ),
+            ("limits.header_bytes", limits.header_bytes >= 1024, "must be at least 1024"),
+            (
+                "limits.reads_at_once",
+                (1..=4096).contains(&limits.reads_at_once),
+                "must lie within 1 and 4096",
+            ),
+            ("limits.handshake_s", limits.handshake_s > 0, positive),
+            ("limits.keepalive_s", limits.keepalive_s > 0, positive),
+            ("limits.keepalive_timeout_s", limits.keepalive_timeout_s > 0, positive),
+            ("limits.request_s", limits.request_s > 0, positive),
+            ("limits.stall_s", limits.stall_s > 0, positive),
+        ];
+        match rules.into_iter().find(|(_, holds, _)| !holds) {
+            Some((key, _, rule)) => Err(Error::OutOfRange { key, rule }),
+            None => Ok(()),
+        }
+    }
+}

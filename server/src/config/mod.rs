@@ -1,0 +1,215 @@
+//! The configuration: `echofix.toml` is the embedded default; a file, the environment and flags
+//! overlay it, the last one winning. Unknown keys are an error with a hint.
+
+mod check;
+mod overlay;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::locating::LocatingConfig;
+use crate::mapping::MappingConfig;
+use overlay::Layered;
+
+/// The shipped file: every key, its default and its meaning.
+pub const DEFAULTS: &str = include_str!("../../echofix.toml");
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// Not TOML, or a value of the wrong kind.
+    #[error("{origin}: {reason}")]
+    Malformed {
+        /// Where it was found.
+        origin: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A key nobody knows.
+    #[error("{origin}: unknown key `{key}`{hint}")]
+    UnknownKey {
+        /// Where it was found.
+        origin: String,
+        /// The key, with its section.
+        key: String,
+        /// What may have been meant.
+        hint: String,
+    },
+    /// A value that makes no sense.
+    #[error("`{key}` {rule}")]
+    OutOfRange {
+        /// The key, with its section.
+        key: &'static str,
+        /// What it must be.
+        rule: &'static str,
+    },
+}
+
+/// Everything that can be configured; `echofix.toml` documents each key.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Vehicles.
+    pub grpc: Listen,
+    /// Operators.
+    pub http: Listen,
+    /// Where everything is kept.
+    pub store: StoreConfig,
+    /// What an upload must fulfil.
+    pub mapping: MappingConfig,
+    /// How to locate.
+    pub locating: LocatingConfig,
+    /// What clients may take.
+    pub limits: Limits,
+    /// What is written to standard error.
+    pub log: LogConfig,
+}
+
+/// A port.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Listen {
+    /// Address and port; port 0 takes any free one.
+    pub listen: SocketAddr,
+}
+
+/// Where and how data is kept.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoreConfig {
+    /// The data directory.
+    pub data_dir: PathBuf,
+    /// Memory for the tile store's cache, MiB.
+    pub cache_mib: u64,
+    /// Size from which a journal segment is followed by the next, MiB.
+    pub segment_mib: u64,
+}
+
+/// What clients may take.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// Connections to each port.
+    pub connections: usize,
+    /// Requests at once on one gRPC connection.
+    pub streams_per_connection: u32,
+    /// Bytes of one gRPC message, received and unpacked.
+    pub message_bytes: usize,
+    /// Bytes of the headers of one request.
+    pub header_bytes: u32,
+    /// Reset streams of one connection before it is closed.
+    pub resets_per_connection: usize,
+    /// Requests that read tiles at once.
+    pub reads_at_once: usize,
+    /// Until a connection's first request, seconds.
+    pub handshake_s: u64,
+    /// Between pings on a silent gRPC connection, seconds.
+    pub keepalive_s: u64,
+    /// Until a ping must be answered, seconds.
+    pub keepalive_timeout_s: u64,
+    /// Until a gRPC request ends, seconds.
+    pub request_s: u64,
+    /// Silence in the middle of a request, seconds.
+    pub stall_s: u64,
+    /// Requests in flight at the end, seconds.
+    pub shutdown_s: u64,
+}
+
+impl Limits {
+    /// Silence in the middle of a request.
+    #[must_use]
+    pub fn stall(&self) -> Duration {
+        Duration::from_secs(self.stall_s)
+    }
+
+    /// Between pings on a silent connection.
+    #[must_use]
+    pub fn keepalive(&self) -> Duration {
+        Duration::from_secs(self.keepalive_s)
+    }
+
+    /// Until a ping must be answered.
+    #[must_use]
+    pub fn keepalive_timeout(&self) -> Duration {
+        Duration::from_secs(self.keepalive_timeout_s)
+    }
+
+    /// Until a connection's first request.
+    #[must_use]
+    pub fn handshake(&self) -> Duration {
+        Duration::from_secs(self.handshake_s)
+    }
+}
+
+/// What is written to standard error.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LogConfig {
+    /// For people or for machines.
+    pub format: LogFormat,
+    /// Which events, as `tracing-subscriber` understands it.
+    pub filter: String,
+}
+
+/// The look of a log line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// For machines.
+    Json,
+}
+
+/// Where a configuration comes from, beside the defaults.
+#[derive(Debug, Clone, Default)]
+pub struct Sources {
+    /// A file with the keys it changes.
+    pub file: Option<PathBuf>,
+    /// Environment variables; those named `ECHOFIX_<SECTION>_<KEY>` count.
+    pub environment: Vec<(String, String)>,
+    /// `section.key` and its value, as given by flags.
+    pub settings: Vec<(String, String)>,
+}
+
+impl Config {
+    /// The defaults, overlaid by the sources and checked.
+    ///
+    /// # Errors
+    /// The first key that is unknown, of the wrong kind, or out of range, and where it was found.
+    pub fn load(sources: &Sources) -> Result<Self, Error> {
+        let mut layers = Layered::new(DEFAULTS)?;
+        if let Some(path) = &sources.file {
+            let read = |source| Error::Read { path: path.clone(), source };
+            layers.file(&std::fs::read_to_string(path).map_err(read)?, &path.display().to_string())?;
+        }
+        layers.environment(&sources.environment)?;
+        for (key, value) in &sources.settings {
+            layers.set(key, value, &format!("--set {key}"))?;
+        }
+        let config: Self = layers.read()?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The configuration in force, as TOML.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        // Every value is a number, a string or a table of these.
+        toml::to_string_pretty(self).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,56 @@
+use super::*;
+
+fn load(
+    file: Option<&str>,
+    environment: &[(&str, &str)],
+    settings: &[(&str, &str)],
+) -> Result<Config, Error> {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("my.toml");
+    std::fs::write(&path, file.unwrap_or_default()).unwrap();
+    let owned =
+        |pairs: &[(&str, &str)]| pairs.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+    let file = file.map(|_| path);
+    Config::load(&Sources { file, environment: owned(environment), settings: owned(settings) })
+}
+
+#[test]
+fn the_shipped_file_is_the_default_and_sets_every_key() {
+    let config = load(None, &[], &[]).unwrap();
+    assert_eq!(config.grpc.listen.port(), 50_051);
+    assert_eq!(config.mapping, MappingConfig::default());
+    let again: Config = toml::from_str(&config.to_toml()).unwrap();
+    assert_eq!(again, config);
+}
+
+#[test]
+fn later_layers_win() {
+    let file = Some("[http]\nlisten = \"0.0.0.0:1\"\n[mapping]\nmax_range_m = 60\nuploads_at_once = 2");
+    let env = [
+        ("ECHOFIX_HTTP_LISTEN", "0.0.0.0:2"),
+        ("ECHOFIX_MAPPING_UPLOADS_AT_ONCE", "3"),
+        ("ECHOFIX_SERVER", "x"),
+    ];
+    let config = load(file, &env, &[("http.listen", "0.0.0.0:3")]).unwrap();
+    assert_eq!(config.http.listen.port(), 3);
+    assert_eq!(config.mapping.uploads_at_once, 3);
+    assert!((config.mapping.max_range_m - 60.0).abs() < 1e-12);
+}
+
+#[test]
+fn mistakes_are_told_with_their_place_and_a_hint() {
+    let told = |file: &str| load(Some(file), &[], &[]).unwrap_err().to_string();
+    let typo = told("[mapping]\nmax_rang_m = 60");
+    assert!(typo.contains("my.toml") && typo.contains("did you mean `mapping.max_range_m`?"), "{typo}");
+    assert!(told("[maping]\nmax_range_m = 60").contains("did you mean `mapping.max_range_m`?"));
+    assert!(told("listen = 3").contains("unknown key `listen`"));
+    assert!(told("[http]\nlisten = 3").contains("must be a string"));
+    assert!(told("[http]\nlisten = \"here\"").contains("listen"));
+    assert!(told("[http\n").contains("my.toml"));
+    assert!(told("[store]\nsegment_mib = 0").contains("`store.segment_mib` must lie within 1 and 1024"));
+    let env = load(None, &[("ECHOFIX_LOG_FORMT", "json")], &[]).unwrap_err().to_string();
+    assert!(env.contains("ECHOFIX_LOG_FORMT") && env.contains("`log.format`"), "{env}");
+    let set = load(None, &[], &[("limits.stall", "3")]).unwrap_err().to_string();
+    assert!(set.contains("did you mean `limits.stall_s`?"), "{set}");
+    assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
+}

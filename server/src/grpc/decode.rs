@@ -1,0 +1,271 @@
+//! Columns of the contract to values of the core. Whatever passes is finite, bounded and of
+//! matching lengths; whatever does not is named by its path.
+
+use echofix_core::drive::GeoPose;
+use echofix_core::geo::LatLon;
+use echofix_core::odometry::{self, Trajectory};
+use echofix_core::pose::Pose2;
+use echofix_core::scan::{self, Mount, Scan};
+use echofix_proto::v1;
+
+pub use super::violation::Violation;
+use super::violation::{require, required};
+
+/// Radars of one vehicle, at most.
+pub const MAX_MOUNTS: usize = 64;
+/// Scans of one message, at most.
+pub const MAX_SCANS: usize = 16_384;
+/// Poses of one message, at most.
+pub const MAX_POSES: usize = 65_536;
+/// Microseconds of the last day the map can tell, in the year 2149.
+const END_OF_TIME_US: i64 = 65_535 * 86_400_000_000;
+/// Metres from the odometry frame's origin that no vehicle reaches.
+const MAX_ODOMETRY_M: f64 = 1e7;
+/// Metres from the body's origin that no radar is mounted at.
+const MAX_MOUNT_M: f32 = 100.0;
+/// Radians, so that no sum of angles loses its precision.
+const MAX_ANGLE_RAD: f64 = 1e3;
+
+/// A batch whose columns are sound.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Batch {
+    /// Microseconds since the Unix epoch.
+    pub reference_time_us: i64,
+    /// The radars.
+    pub mounts: Vec<Mount>,
+    /// Scans, as they came.
+    pub scans: Vec<Scan>,
+    /// Odometry.
+    pub odometry: Trajectory,
+}
+
+/// A batch. `field` is its own path.
+///
+/// # Errors
+/// The first field that breaks a rule.
+pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<Batch, Violation> {
+    let v1::Batch { reference_time_us, mounts, scans: columns, odometry: way } = required(batch, field)?;
+    let at = |name: &str| format!("{field}.{name}");
+    reference_time(reference_time_us, &at("reference_time_us"))?;
+    let mounts = self::mounts(&mounts, &at("mounts"))?;
+    let columns = required(columns, &at("scans"))?;
+    let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
+    let odometry = odometry(&required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
+    Ok(Batch { reference_time_us, mounts, scans, odometry })
+}
+
+/// A time of day that the map can tell.
+///
+/// # Errors
+/// When it lies before 1970 or after 2149.
+pub fn reference_time(time_us: i64, field: &str) -> Result<(), Violation> {
+    let told = (0..END_OF_TIME_US).contains(&time_us);
+    require(told, field, "must be microseconds since 1970, before the year 2149")
+}
+
+/// The radars of a vehicle.
+///
+/// # Errors
+/// When there are none or too many, or one is not on the vehicle.
+pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Violation> {
+    require(!mounts.is_empty(), field, "is empty; send the place of every radar")?;
+    limit(mounts.len(), MAX_MOUNTS, field)?;
+    let on_body = |m: f32| m.abs() <= MAX_MOUNT_M;
+    let sound = |m: &v1::SensorMount| on_body(m.x_m) && on_body(m.y_m) && angle(f64::from(m.yaw_rad));
+    if let Some(row) = mounts.iter().position(|mount| !sound(mount)) {
+        return Err(Violation::new(format!("{field}[{row}]"), "must be finite and within 100 m of the body"));
+    }
+    let mount = |m: &v1::SensorMount| Mount::new(m.x_m.into(), m.y_m.into(), m.yaw_rad.into());
+    Ok(mounts.iter().map(mount).collect())
+}
+
+/// Scans out of their columns, in the order they came. `mounts` is the number of radars.
+///
+/// # Errors
+/// The first column that breaks a rule.
+pub fn scans(
+    columns: v1::Scans,
+    reference_time_us: i64,
+    mounts: usize,
+    field: &str,
+) -> Result<Vec<Scan>, Violation> {
+    let at = |name: &str| format!("{field}.{name}");
+    let v1::Scans { sensor, time_offset_us, detection_count, range_m, .. } = columns;
+    let (azimuth_rad, radial_speed_mps) = (columns.azimuth_rad, columns.radial_speed_mps);
+    require(!sensor.is_empty(), &at("sensor"), "is empty; send at least one scan")?;
+    limit(sensor.len(), MAX_SCANS, &at("sensor"))?;
+    same_length(time_offset_us.len(), sensor.len(), &at("time_offset_us"), "sensor")?;
+    same_length(detection_count.len(), sensor.len(), &at("detection_count"), "sensor")?;
+    if let Some(row) = sensor.iter().position(|sensor| *sensor as usize >= mounts) {
+        let described = format!("names sensor {}, but {mounts} are mounted", sensor[row]);
+        return Err(Violation::new(format!("{}[{row}]", at("sensor")), described));
+    }
+    let counted: u64 = detection_count.iter().map(|count| u64::from(*count)).sum();
+    if counted != range_m.len() as u64 {
+        let described = format!("adds up to {counted}, but `range_m` has {} values", range_m.len());
+        return Err(Violation::new(at("detection_count"), described));
+    }
+    let times = times(&time_offset_us, reference_time_us, &at("time_offset_us"))?;
+    let rcs_dbsm = columns.rcs_dbsm;
+    let all = Scan { range_m, azimuth_rad, radial_speed_mps, rcs_dbsm, ..Scan::default() };
+    all.validate().map_err(|error| Violation::new(at(column(&error)), error))?;
+    if let Some(row) = all.azimuth_rad.iter().position(|azimuth| !angle(f64::from(*azimuth))) {
+        return Err(Violation::new(format!("{}[{row}]", at("azimuth_rad")), "is not an angle in radians"));
+    }
+    Ok(split(&all, &sensor, &times, &detection_count))
+}
+
+/// Each scan with its own rows of the detection columns.
+fn split(all: &Scan, sensor: &[u32], times_us: &[i64], counts: &[u32]) -> Vec<Scan> {
+    let mut start = 0;
+    let scan = |((sensor, time_us), count): ((&u32, &i64), &u32)| {
+        let rows = start..start + *count as usize;
+        start = rows.end;
+        // The optional columns may be empty.
+        let cut = |column: &[f32]| column.get(rows.clone()).unwrap_or_default().to_vec();
+        Scan {
+            sensor: *sensor as usize,
+            time_us: *time_us,
+            range_m: cut(&all.range_m),
+            azimuth_rad: cut(&all.azimuth_rad),
+            radial_speed_mps: cut(&all.radial_speed_mps),
+            rcs_dbsm: cut(&all.rcs_dbsm),
+        }
+    };
+    sensor.iter().zip(times_us).zip(counts).map(scan).collect()
+}
+
+/// The column a scan's error is about.
+fn column(error: &scan::Error) -> &'static str {
+    match error {
+        scan::Error::ColumnLength { column, .. } | scan::Error::NotFinite { column, .. } => column,
+        scan::Error::NegativeRange { .. } => "range_m",
+    }
+}
+
+/// The vehicle's way in its odometry frame.
+///
+/// # Errors
+/// The first column that breaks a rule.
+pub fn odometry(
+    columns: &v1::Odometry,
+    reference_time_us: i64,
+    field: &str,
+) -> Result<Trajectory, Violation> {
+    let at = |name: &str| format!("{field}.{name}");
+    let v1::Odometry { time_offset_us, x_m, y_m, yaw_rad } = columns;
+    limit(time_offset_us.len(), MAX_POSES, &at("time_offset_us"))?;
+    for (name, column) in [("x_m", x_m), ("y_m", y_m), ("yaw_rad", yaw_rad)] {
+        same_length(column.len(), time_offset_us.len(), &at(name), "time_offset_us")?;
+        bounded(column, if name == "yaw_rad" { MAX_ANGLE_RAD } else { MAX_ODOMETRY_M }, &at(name))?;
+    }
+    let times = times(time_offset_us, reference_time_us, &at("time_offset_us"))?;
+    let poses = x_m.iter().zip(y_m).zip(yaw_rad).map(|((x, y), yaw)| Pose2::new(*x, *y, *yaw));
+    Trajectory::new(times.into_iter().zip(poses)).map_err(|error| match error {
+        odometry::Error::NotIncreasing { .. } => Violation::new(at("time_offset_us"), error),
+        odometry::Error::NotFinite { .. } => Violation::new(field, error),
+    })
+}
+
+/// Absolute poses, oldest first.
+///
+/// # Errors
+/// The first column that breaks a rule.
+pub fn geo_poses(
+    columns: &v1::PoseColumns,
+    reference_time_us: i64,
+    field: &str,
+) -> Result<Vec<GeoPose>, Violation> {
+    let at = |name: &str| format!("{field}.{name}");
+    let rows = columns.time_offset_us.len();
+    limit(rows, MAX_POSES, &at("time_offset_us"))?;
+    let doubles = [
+        ("latitude_deg", &columns.latitude_deg, 90.0),
+        ("longitude_deg", &columns.longitude_deg, 180.0),
+        ("yaw_rad", &columns.yaw_rad, MAX_ANGLE_RAD),
+    ];
+    for (name, column, most) in doubles {
+        same_length(column.len(), rows, &at(name), "time_offset_us")?;
+        bounded(column, most, &at(name))?;
+    }
+    let sigmas = [("sigma_position_m", &columns.sigma_position_m), ("sigma_yaw_rad", &columns.sigma_yaw_rad)];
+    for (name, column) in sigmas {
+        same_length(column.len(), rows, &at(name), "time_offset_us")?;
+        if let Some(row) = column.iter().position(|sigma| !(sigma.is_finite() && *sigma >= 0.0)) {
+            return Err(Violation::new(format!("{}[{row}]", at(name)), "must be finite and not negative"));
+        }
+    }
+    let times = times(&columns.time_offset_us, reference_time_us, &at("time_offset_us"))?;
+    if let Some(row) = times.windows(2).position(|pair| pair[1] <= pair[0]) {
+        let field = format!("{}[{}]", at("time_offset_us"), row + 1);
+        return Err(Violation::new(field, "does not come after the one before; send poses in order of time"));
+    }
+    let pose = |row: usize| GeoPose {
+        time_us: times[row],
+        at: LatLon { lat_deg: columns.latitude_deg[row], lon_deg: columns.longitude_deg[row] },
+        yaw_rad: columns.yaw_rad[row],
+        sigma_position_m: columns.sigma_position_m[row].into(),
+        sigma_yaw_rad: columns.sigma_yaw_rad[row].into(),
+    };
+    Ok((0..rows).map(pose).collect())
+}
+
+/// A position and its heading, radians counter-clockwise from true east.
+///
+/// # Errors
+/// When it is missing or not a position on the globe.
+pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(LatLon, f64), Violation> {
+    let v1::GeodeticPose { latitude_deg, longitude_deg, yaw_rad } = required(pose, field)?;
+    let at = lat_lon(latitude_deg, longitude_deg, field)?;
+    require(angle(yaw_rad), &format!("{field}.yaw_rad"), "is not an angle in radians")?;
+    Ok((at, yaw_rad))
+}
+
+/// A position on the globe.
+///
+/// # Errors
+/// When it is none.
+pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, Violation> {
+    require(lat_deg.abs() <= 90.0, &format!("{field}.latitude_deg"), "must lie within -90 and 90 degrees")?;
+    require(
+        lon_deg.abs() <= 180.0,
+        &format!("{field}.longitude_deg"),
+        "must lie within -180 and 180 degrees",
+    )?;
+    Ok(LatLon { lat_deg, lon_deg })
+}
+
+/// Offsets as microseconds since the Unix epoch.
+fn times(offsets_us: &[i64], reference_time_us: i64, field: &str) -> Result<Vec<i64>, Violation> {
+    let time = |(row, offset): (usize, &i64)| {
+        let time_us = reference_time_us.checked_add(*offset).unwrap_or(-1);
+        reference_time(time_us, &format!("{field}[{row}]")).map(|()| time_us)
+    };
+    offsets_us.iter().enumerate().map(time).collect()
+}
+
+fn angle(rad: f64) -> bool {
+    rad.abs() <= MAX_ANGLE_RAD
+}
+
+fn bounded(column: &[f64], most: f64, field: &str) -> Result<(), Violation> {
+    // NaN is not within any range.
+    match column.iter().position(|value| !(-most..=most).contains(value)) {
+        Some(row) => {
+            Err(Violation::new(format!("{field}[{row}]"), format!("must lie within -{most} and {most}")))
+        }
+        None => Ok(()),
+    }
+}
+
+fn limit(rows: usize, most: usize, field: &str) -> Result<(), Violation> {
+    require(rows <= most, field, &format!("has {rows} values; send at most {most} in one message"))
+}
+
+fn same_length(found: usize, expected: usize, field: &str, like: &str) -> Result<(), Violation> {
+    let described = format!("has {found} values but `{like}` has {expected}; send columns of equal length");
+    require(found == expected, field, &described)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,147 @@
+//! `MapService.GetTiles`: the tiles a caller lacks, in order, then a summary.
+
+mod area;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use echofix_core::geo::{TileId, Zone};
+use echofix_proto::v1::get_tiles_request::Selection;
+use echofix_proto::v1::get_tiles_response::Part;
+use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TilesSummary};
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+use super::violation::{Violation, require, required};
+use super::{blocking, status, tile_id};
+use crate::store::{self, MapStore};
+
+/// Tiles asked for by id, at most.
+const MAX_IDS: usize = 1_024;
+/// Tiles of an area, at most.
+const MAX_AREA: usize = 4_096;
+/// Versions a caller may say it has.
+const MAX_HAVE: usize = 16_384;
+
+/// The answer, as fast as the caller takes it.
+pub(super) type Answer = ReceiverStream<Result<GetTilesResponse, Status>>;
+
+/// What to send.
+struct Plan {
+    /// Read before any tile: every tile is at least as new.
+    epoch: u64,
+    send: Vec<TileId>,
+    unchanged: u32,
+    absent: Vec<TileId>,
+}
+
+pub(super) async fn get_tiles(
+    store: Arc<dyn MapStore>,
+    request: GetTilesRequest,
+    place: OwnedSemaphorePermit,
+    stall: Duration,
+) -> Result<Answer, Status> {
+    let plan = {
+        let store = store.clone();
+        blocking(move || plan(&*store, request)).await??
+    };
+    let (sender, receiver) = mpsc::channel(1);
+    tokio::spawn(async move {
+        // The caller's place is free again once the answer has ended.
+        let _place = place;
+        send(store, plan, sender, stall).await;
+    });
+    Ok(ReceiverStream::new(receiver))
+}
+
+/// Sends until the end, the first error, or the caller takes nothing any more.
+async fn send(
+    store: Arc<dyn MapStore>,
+    plan: Plan,
+    sender: mpsc::Sender<Result<GetTilesResponse, Status>>,
+    stall: Duration,
+) {
+    let mut summary = TilesSummary {
+        epoch: plan.epoch,
+        sent: 0,
+        unchanged: plan.unchanged,
+        absent: plan.absent.into_iter().map(tile_id).collect(),
+    };
+    for id in plan.send {
+        let store = store.clone();
+        let read = blocking(move || store.tile(id).map_err(|error| status::store(&error))).await;
+        let part = match read.and_then(|read| read) {
+            Ok(Some(tile)) => {
+                summary.sent += 1;
+                let version = v1::TileVersion { tile: Some(tile_id(id)), version: tile.version };
+                Ok(Part::Tile(TileData { version: Some(version), encoded: tile.encoded.into() }))
+            }
+            // Tiles are never taken out of the map while it is served.
+            Ok(None) => continue,
+            Err(status) => Err(status),
+        };
+        let failed = part.is_err();
+        let message = part.map(|part| GetTilesResponse { part: Some(part) });
+        if sender.send_timeout(message, stall).await.is_err() || failed {
+            return;
+        }
+    }
+    let last = GetTilesResponse { part: Some(Part::Summary(summary)) };
+    // A caller that went away needs no summary.
+    let _ = sender.send_timeout(Ok(last), stall).await;
+}
+
+fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {
+    let epoch = store.progress().borrow().epoch;
+    let have = have(request.have).map_err(|violation| status::invalid(&violation))?;
+    let selection = required(request.selection, "selection").map_err(|v| status::invalid(&v))?;
+    let (mut plan, mut asked) =
+        (Plan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
+    let found = match selection {
+        Selection::Tiles(list) => {
+            asked.extend(ids(&list.ids, "tiles.ids").map_err(|violation| status::invalid(&violation))?);
+            let info = |id: &TileId| store.catalog(id.zone, id.x..=id.x, id.y..=id.y);
+            let found: Result<Vec<_>, store::Error> = asked.iter().map(info).collect();
+            found.map_err(|error| status::store(&error))?.concat()
+        }
+        Selection::Area(area) => area::tiles(store, &area)?,
+    };
+    let found: BTreeMap<TileId, u64> = found.into_iter().map(|info| (info.id, info.version)).collect();
+    asked.extend(found.keys());
+    for id in &asked {
+        match (found.get(id), have.get(id)) {
+            (Some(version), Some(has)) if version == has => plan.unchanged += 1,
+            (Some(_), _) => plan.send.push(*id),
+            (None, _) => plan.absent.push(*id),
+        }
+    }
+    for id in have.keys().filter(|id| !asked.contains(id)) {
+        if store.catalog(id.zone, id.x..=id.x, id.y..=id.y).map_err(|error| status::store(&error))?.is_empty()
+        {
+            plan.absent.push(*id);
+        }
+    }
+    Ok(plan)
+}
+
+fn have(have: Vec<v1::TileVersion>) -> Result<BTreeMap<TileId, u64>, Violation> {
+    let most = format!("names more than {MAX_HAVE} tiles");
+    require(have.len() <= MAX_HAVE, "have", &most)?;
+    let entry = |(row, has): (usize, v1::TileVersion)| {
+        let field = format!("have[{row}].tile");
+        Ok((id(&required(has.tile, &field)?, &field)?, has.version))
+    };
+    have.into_iter().enumerate().map(entry).collect()
+}
+
+fn ids(ids: &[v1::TileId], field: &str) -> Result<Vec<TileId>, Violation> {
+    require(ids.len() <= MAX_IDS, field, &format!("names more than {MAX_IDS} tiles"))?;
+    ids.iter().enumerate().map(|(row, tile)| id(tile, &format!("{field}[{row}]"))).collect()
+}
+
+fn id(id: &v1::TileId, field: &str) -> Result<TileId, Violation> {
+    let zone = Zone::from_epsg(id.epsg).map_err(|error| Violation::new(format!("{field}.epsg"), error))?;
+    Ok(TileId { zone, x: id.x, y: id.y })
+}

@@ -1,0 +1,113 @@
+//! The tiles that touch an area between two parallels and two meridians.
+
+use std::ops::RangeInclusive;
+
+use echofix_core::geo::{self, Grid, LatLon, TILE_M, TileId, Zone};
+use echofix_proto::v1::GeodeticBox;
+use tonic::Status;
+
+use super::super::violation::{Violation, require};
+use super::{MAX_AREA, status};
+use crate::store::{MapStore, TileInfo};
+
+/// A zone's map reaches at most this far from its central meridian, degrees (32V does).
+const REACH_DEG: f64 = 9.0;
+/// Points along a side, to catch how a parallel bends on the grid.
+const SIDE: u32 = 8;
+
+pub(super) fn tiles(store: &dyn MapStore, area: &GeodeticBox) -> Result<Vec<TileInfo>, Status> {
+    let boxes = checked(area).map_err(|violation| status::invalid(&violation))?;
+    let mut found: Vec<TileInfo> = Vec::new();
+    for zone in store.zones() {
+        for part in boxes.iter().filter_map(|part| clip(part, zone)) {
+            // The box is checked: a projection that fails has nothing stored there.
+            let Ok((grid, x, y)) = block(zone, &part) else { continue };
+            let infos = store.catalog(zone, x, y).map_err(|error| status::store(&error))?;
+            found.extend(infos.into_iter().filter(|info| touches(&grid, info.id, &part)));
+            if found.len() > MAX_AREA {
+                let told = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
+                return Err(status::invalid(&Violation::new("area", told)));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Sound limits; two boxes when the area crosses the date line.
+fn checked(area: &GeodeticBox) -> Result<Vec<GeodeticBox>, Violation> {
+    let GeodeticBox { south_deg, west_deg, north_deg, east_deg } = *area;
+    for (name, degrees, most) in [
+        ("south_deg", south_deg, 90.0),
+        ("north_deg", north_deg, 90.0),
+        ("west_deg", west_deg, 180.0),
+        ("east_deg", east_deg, 180.0),
+    ] {
+        require(
+            degrees.abs() <= most,
+            &format!("area.{name}"),
+            &format!("must lie within -{most} and {most}"),
+        )?;
+    }
+    require(south_deg <= north_deg, "area.north_deg", "lies south of `south_deg`")?;
+    if west_deg <= east_deg {
+        return Ok(vec![*area]);
+    }
+    Ok(vec![GeodeticBox { east_deg: 180.0, ..*area }, GeodeticBox { west_deg: -180.0, ..*area }])
+}
+
+/// The part of a box that a zone can hold.
+fn clip(area: &GeodeticBox, zone: Zone) -> Option<GeodeticBox> {
+    let central = f64::from(zone.number()) * 6.0 - 183.0;
+    // Zones 1 and 60 reach over the date line: their meridians count on from either side.
+    let turn = [-360.0, 0.0, 360.0].into_iter().find(|turn| {
+        area.west_deg + turn <= central + REACH_DEG && area.east_deg + turn >= central - REACH_DEG
+    })?;
+    let clipped = GeodeticBox {
+        south_deg: area.south_deg.max(-80.5),
+        north_deg: area.north_deg.min(84.5),
+        west_deg: (area.west_deg + turn).max(central - REACH_DEG),
+        east_deg: (area.east_deg + turn).min(central + REACH_DEG),
+    };
+    (clipped.south_deg <= clipped.north_deg).then_some(clipped)
+}
+
+type Block = (Grid, RangeInclusive<i32>, RangeInclusive<i32>);
+
+/// The block of tiles around a box.
+fn block(zone: Zone, area: &GeodeticBox) -> Result<Block, geo::Error> {
+    let grid = Grid::new(zone)?;
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let step = |from: f64, to: f64, i: u32| from + (to - from) * f64::from(i) / f64::from(SIDE);
+    for (i, j) in (0..=SIDE).flat_map(|i| (0..=SIDE).map(move |j| (i, j))) {
+        let lat_deg = step(area.south_deg, area.north_deg, i);
+        let at = LatLon { lat_deg, lon_deg: step(area.west_deg, area.east_deg, j) };
+        let point = grid.project(at)?;
+        for axis in [0, 1] {
+            low[axis] = low[axis].min(point[axis]);
+            high[axis] = high[axis].max(point[axis]);
+        }
+    }
+    // Between the points a large box bulges a little: one tile in a hundred is enough.
+    let margin = [0, 1].map(|axis| TILE_M + 0.01 * (high[axis] - low[axis]));
+    let low = TileId::of(zone, [low[0] - margin[0], low[1] - margin[1]]);
+    let high = TileId::of(zone, [high[0] + margin[0], high[1] + margin[1]]);
+    Ok((grid, low.x..=high.x, low.y..=high.y))
+}
+
+/// Does the tile lie in the box, even with a corner?
+fn touches(grid: &Grid, id: TileId, area: &GeodeticBox) -> bool {
+    let [x, y] = id.origin();
+    let corners = [[x, y], [x + TILE_M, y], [x, y + TILE_M], [x + TILE_M, y + TILE_M]];
+    let Ok(corners) = corners.into_iter().map(|at| grid.unproject(at)).collect::<Result<Vec<_>, _>>() else {
+        return false;
+    };
+    let middle_lon = f64::midpoint(area.west_deg, area.east_deg);
+    // On the same turn as the box.
+    let lon = |at: &LatLon| middle_lon + (at.lon_deg - middle_lon + 180.0).rem_euclid(360.0) - 180.0;
+    let span = |of: &dyn Fn(&LatLon) -> f64| {
+        corners.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
+    };
+    let (south, north) = span(&|at| at.lat_deg);
+    let (west, east) = span(&lon);
+    south <= area.north_deg && north >= area.south_deg && west <= area.east_deg && east >= area.west_deg
+}

@@ -1,0 +1,301 @@
+//! `MappingService.Upload`: receive, vet, journal, answer.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use echofix_core::evidence::Pass;
+use echofix_proto::v1::upload_request::Part;
+use echofix_proto::v1::{DroppedDetections, TileContribution, UploadHeader, UploadRequest, UploadResponse};
+use prost::Message;
+use tokio::sync::Semaphore;
+use tokio_stream::{Stream, StreamExt};
+use tonic::Status;
+use uuid::Uuid;
+
+use super::violation::{Violation, require, required};
+use super::{blocking, decode, now_us, status, tile_id};
+use crate::feed::{Feed, UploadEvent};
+use crate::mapping::{self, Chunk, Contributed, MappingConfig, Refusal, Submission};
+use crate::metrics::{Metrics, Outcome};
+use crate::store::{MapStore, Receipt, Upload};
+
+const DAY_US: i64 = 86_400_000_000;
+/// When a vehicle that was turned away should come again.
+const RETRY: Duration = Duration::from_secs(2);
+
+/// Accepts contributions to the map.
+#[derive(Clone)]
+pub struct MappingApi {
+    store: Arc<dyn MapStore>,
+    feed: Arc<Feed>,
+    metrics: Arc<Metrics>,
+    config: Arc<MappingConfig>,
+    places: Arc<Semaphore>,
+    /// The longest silence of a caller.
+    stall: Duration,
+}
+
+/// An upload whose columns are sound.
+struct Received {
+    id: Uuid,
+    contributor: String,
+    day: u16,
+    submission: Submission,
+}
+
+/// What came of an upload, for the feed.
+struct Told {
+    response: UploadResponse,
+    agreement: Option<f64>,
+}
+
+impl MappingApi {
+    /// Journals uploads in `store`. A caller that sends nothing for as long as `stall` is given up.
+    #[must_use]
+    pub fn new(
+        store: Arc<dyn MapStore>,
+        feed: Arc<Feed>,
+        metrics: Arc<Metrics>,
+        config: MappingConfig,
+        stall: Duration,
+    ) -> Self {
+        let places = Arc::new(Semaphore::new(config.uploads_at_once));
+        Self { store, feed, metrics, config: Arc::new(config), places, stall }
+    }
+
+    /// One upload, from its first message to its answer.
+    pub(super) async fn receive(
+        &self,
+        requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
+    ) -> Result<UploadResponse, Status> {
+        let place = self.places.clone().try_acquire_owned();
+        let place = place.map_err(|_| self.shed("too many uploads at once"))?;
+        let progress = *self.store.progress().borrow();
+        if progress.journaled - progress.epoch > self.config.max_unfolded {
+            return Err(self.shed("uploads wait to be folded"));
+        }
+        let received = self.collect(requests).await.inspect_err(|_| self.count("INVALID"))?;
+        let began = Instant::now();
+        let (id, this) = (received.id, self.clone());
+        // Not tied to this call: once begun, it ends, whether or not the caller waits for it.
+        let outcome = blocking(move || {
+            let outcome = this.count_in(received);
+            drop(place);
+            outcome
+        })
+        .await?;
+        self.metrics.commit_seconds.observe(began.elapsed().as_secs_f64());
+        self.publish(id, &outcome);
+        outcome.map(|told| told.response).map_err(|error| error.status())
+    }
+
+    /// Reads and decodes all messages. Bounded in bytes, detections and the caller's silence.
+    async fn collect(
+        &self,
+        mut requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
+    ) -> Result<Received, Status> {
+        let invalid = |violation| status::invalid(&violation);
+        let Some(Part::Header(header)) = self.next(&mut requests).await? else {
+            return Err(invalid(Violation::new("header", "must be the first message")));
+        };
+        let reference_time_us = header.reference_time_us;
+        let mut received = begin(header).map_err(invalid)?;
+        let mounts = received.submission.mounts.len();
+        let (mut bytes, mut detections) = (0, 0);
+        while let Some(part) = self.next(&mut requests).await? {
+            let Part::Chunk(chunk) = part else {
+                return Err(invalid(Violation::new("header", "must be the first message only")));
+            };
+            bytes += chunk.encoded_len();
+            detections += chunk.scans.as_ref().map_or(0, |scans| scans.range_m.len());
+            self.bounded(bytes, detections).map_err(invalid)?;
+            let scans = required(chunk.scans, "chunk.scans").map_err(invalid)?;
+            let poses = required(chunk.poses, "chunk.poses").map_err(invalid)?;
+            received.submission.chunks.push(Chunk {
+                poses: decode::geo_poses(&poses, reference_time_us, "chunk.poses").map_err(invalid)?,
+                scans: decode::scans(scans, reference_time_us, mounts, "chunk.scans").map_err(invalid)?,
+            });
+        }
+        require(!received.submission.chunks.is_empty(), "chunk", "is missing; send at least one")
+            .map_err(invalid)?;
+        Ok(received)
+    }
+
+    async fn next(
+        &self,
+        requests: &mut (impl Stream<Item = Result<UploadRequest, Status>> + Unpin),
+    ) -> Result<Option<Part>, Status> {
+        let silent = |_| Status::deadline_exceeded("the upload fell silent");
+        let Some(request) = tokio::time::timeout(self.stall, requests.next()).await.map_err(silent)? else {
+            return Ok(None);
+        };
+        let part = required(request?.part, "part").map_err(|violation| status::invalid(&violation))?;
+        Ok(Some(part))
+    }
+
+    fn bounded(&self, bytes: usize, detections: usize) -> Result<(), Violation> {
+        let MappingConfig { max_upload_bytes, max_upload_detections, .. } = *self.config;
+        let told = format!("exceeds {max_upload_bytes} bytes in all; split the upload");
+        require(bytes <= max_upload_bytes, "chunk", &told)?;
+        let told = format!("exceeds {max_upload_detections} detections in all; split the upload");
+        require(detections <= max_upload_detections, "chunk.scans", &told)
+    }
+
+    /// Vets a received upload and journals it.
+    fn count_in(&self, received: Received) -> Result<Told, Error> {
+        let Received { id, contributor, day, submission } = received;
+        if let Some(receipt) = self.store.counted(id)? {
+            return repeated(receipt, None);
+        }
+        let forget_before = self.oldest_day(day)?;
+        let contributed = mapping::contribute(submission, &self.config)?;
+        let agreement = mapping::agreement(&*self.store, &contributed)?;
+        let response = response(id, &contributed);
+        let pass = Pass { day, contributor: self.store.contributor(&contributor) };
+        let (contribution, answer) = (contributed.contribution, response.encode_to_vec());
+        match self.store.commit(Upload { id, pass, forget_before, contribution, answer })? {
+            Receipt::Counted { epoch } => {
+                Ok(Told { response: UploadResponse { epoch, ..response }, agreement })
+            }
+            duplicate @ Receipt::Duplicate { .. } => repeated(duplicate, agreement),
+        }
+    }
+
+    /// The oldest day still taken, 0 without a limit. An upload of an older one is refused.
+    fn oldest_day(&self, day: u16) -> Result<u16, Refusal> {
+        let most_days = self.config.max_age_days;
+        if most_days == 0 {
+            return Ok(0);
+        }
+        let today = (now_us() / DAY_US) as u16;
+        let age_days = today.saturating_sub(day);
+        if age_days > most_days {
+            return Err(Refusal::TooOld { age_days, most_days });
+        }
+        Ok(today.saturating_sub(most_days))
+    }
+
+    fn shed(&self, message: &str) -> Status {
+        self.count("SHED");
+        status::overloaded(message, RETRY)
+    }
+
+    fn count(&self, outcome: &'static str) {
+        self.metrics.uploads.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    fn publish(&self, id: Uuid, outcome: &Result<Told, Error>) {
+        let word = match outcome {
+            Ok(told) if told.response.duplicate => "DUPLICATE",
+            Ok(_) => "COUNTED",
+            Err(error) => error.reason(),
+        };
+        self.count(word);
+        let nothing = UploadResponse::default();
+        let (response, agreement) = match outcome {
+            Ok(told) => (&told.response, told.agreement),
+            Err(error) => {
+                tracing::info!(upload = %id, reason = word, %error, "upload refused");
+                (&nothing, None)
+            }
+        };
+        let dropped = response.dropped.unwrap_or_default();
+        self.feed.uploads.publish(UploadEvent {
+            answered_us: now_us(),
+            upload_id: id.to_string(),
+            outcome: word.to_owned(),
+            detections_counted: response.detections_counted,
+            detections_dropped: dropped.too_slow + dropped.too_far + dropped.moving + dropped.without_pose,
+            tiles: response.tiles.len(),
+            agreement,
+        });
+    }
+}
+
+/// A header's part of an upload.
+fn begin(header: UploadHeader) -> Result<Received, Violation> {
+    let named = Uuid::try_parse(&header.upload_id);
+    let id = named.map_err(|error| Violation::new("header.upload_id", format!("is not a UUID: {error}")))?;
+    let length = header.contributor.chars().count();
+    require((1..=64).contains(&length), "header.contributor", "must have 1 to 64 characters")?;
+    decode::reference_time(header.reference_time_us, "header.reference_time_us")?;
+    let mounts = decode::mounts(&header.mounts, "header.mounts")?;
+    let day = (header.reference_time_us / DAY_US) as u16;
+    let submission = Submission { mounts, chunks: Vec::new() };
+    Ok(Received { id, contributor: header.contributor, day, submission })
+}
+
+/// The answer, without what only the journal knows.
+fn response(id: Uuid, contributed: &Contributed) -> UploadResponse {
+    let Contributed { contribution, dropped, .. } = contributed;
+    let tile = |(id, cells): (&_, &Vec<echofix_core::evidence::CellHits>)| TileContribution {
+        tile: Some(tile_id(*id)),
+        cells: cells.len() as u32,
+        detections: cells.iter().map(|cell| cell.hits).sum(),
+    };
+    UploadResponse {
+        upload_id: id.to_string(),
+        detections_counted: contribution.detections,
+        dropped: Some(DroppedDetections {
+            too_slow: dropped.too_slow,
+            too_far: dropped.too_far,
+            moving: dropped.moving,
+            without_pose: dropped.without_pose,
+        }),
+        tiles: contribution.tiles.iter().map(tile).collect(),
+        ..UploadResponse::default()
+    }
+}
+
+/// The answer that was given the first time.
+fn repeated(receipt: Receipt, agreement: Option<f64>) -> Result<Told, Error> {
+    let (Receipt::Duplicate { epoch, .. } | Receipt::Counted { epoch }) = receipt;
+    let answer = if let Receipt::Duplicate { answer, .. } = receipt { answer } else { Vec::new() };
+    let first = UploadResponse::decode(&answer[..])?;
+    Ok(Told { response: UploadResponse { duplicate: true, epoch, ..first }, agreement })
+}
+
+/// Why an upload was not counted.
+#[derive(Debug, thiserror::Error)]
+enum Error {
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    #[error(transparent)]
+    Store(#[from] crate::store::Error),
+    #[error("the journal holds an answer that cannot be read: {0}")]
+    Answer(#[from] prost::DecodeError),
+}
+
+impl Error {
+    /// One of a fixed set of words.
+    fn reason(&self) -> &'static str {
+        match self {
+            Self::Refused(refusal) => match refusal {
+                Refusal::PoseTooUncertain { .. } => "POSE_TOO_UNCERTAIN",
+                Refusal::TooSlow { .. } => "TOO_SLOW",
+                Refusal::NoDetections { .. } => "NO_DETECTIONS",
+                Refusal::Outside(_) => "OUTSIDE_UTM",
+                Refusal::TooOld { .. } => "TOO_OLD",
+                Refusal::TooManyTiles { .. } | Refusal::Scans(_) | Refusal::Poses(_) => "INVALID",
+            },
+            Self::Store(_) | Self::Answer(_) => "FAILED",
+        }
+    }
+
+    fn status(&self) -> Status {
+        match self {
+            Self::Refused(refusal @ (Refusal::TooManyTiles { .. } | Refusal::Scans(_))) => {
+                status::invalid(&Violation::new("chunk.scans", refusal))
+            }
+            Self::Refused(refusal @ Refusal::Poses(_)) => {
+                status::invalid(&Violation::new("chunk.poses", refusal))
+            }
+            Self::Refused(refusal) => status::refused(self.reason(), refusal, &[]),
+            Self::Store(error) => status::store(error),
+            Self::Answer(_) => {
+                tracing::error!(error = %self, "an upload's first answer is lost");
+                Status::internal("stored data cannot be read")
+            }
+        }
+    }
+}

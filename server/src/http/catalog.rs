@@ -1,0 +1,177 @@
+//! The map in numbers, one tile in numbers.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State as Shared};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use echofix_core::geo::{Grid, LatLon, TILE_M, TileId};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::App;
+use super::day::iso_date;
+use super::error::Error;
+use super::raster::corners;
+use crate::store::{MapStore, Progress, State, StoredTile};
+
+/// `GET /api/v1/map`
+pub async fn map(Shared(app): Shared<Arc<App>>) -> Result<Response, Error> {
+    let artist = Arc::clone(&app.artist);
+    let store = Arc::clone(&app.state.store);
+    let body = app.places.work(move || {
+        let overview = artist.overview()?;
+        let (mut body, totals) = (told(&store.progress().borrow()), store.totals());
+        let zones = overview.zones.iter().map(|(zone, tiles)| {
+            let hemisphere = if zone.is_south() { "south" } else { "north" };
+            json!({ "epsg": zone.epsg(), "name": format!("UTM {} {hemisphere}", zone.number()), "tiles": tiles })
+        });
+        body["zones"] = zones.collect();
+        body["bounds"] = json!(overview.bounds());
+        body["center"] = json!(overview.center());
+        body["totals"] = json!({
+            "tiles": totals.tiles,
+            "cells": totals.cells,
+            "bytes": totals.bytes,
+            "uploads": totals.uploads,
+            "area_km2": totals.tiles as f64 * TILE_M * TILE_M / 1e6,
+            "newest_day": totals.newest_day,
+            "newest_date": (totals.tiles > 0).then(|| iso_date(totals.newest_day)),
+        });
+        Ok(body)
+    });
+    Ok(fresh(body.await?))
+}
+
+/// How far the map is, as JSON.
+pub fn told(progress: &Progress) -> Value {
+    let state = match progress.state {
+        State::Rebuilding => "rebuilding",
+        State::Serving => "serving",
+        State::Stalled => "stalled",
+    };
+    json!({ "state": state, "epoch": progress.epoch, "journaled": progress.journaled })
+}
+
+/// `?lat=&lon=`
+#[derive(Deserialize)]
+pub struct At {
+    lat: f64,
+    lon: f64,
+}
+
+/// `GET /api/v1/tiles/at?lat=&lon=`
+pub async fn tile_at(
+    Shared(app): Shared<Arc<App>>,
+    at: Result<Query<At>, QueryRejection>,
+) -> Result<Response, Error> {
+    let Query(At { lat, lon }) = at?;
+    let at = LatLon { lat_deg: lat, lon_deg: lon };
+    let grid = Grid::of(at)?;
+    let id = TileId::of(grid.zone(), grid.project(at)?);
+    described(&app, id).await
+}
+
+/// `GET /api/v1/tiles/{epsg}/{x}/{y}`
+pub async fn tile(
+    Shared(app): Shared<Arc<App>>,
+    Path((epsg, x, y)): Path<(String, String, String)>,
+) -> Result<Response, Error> {
+    described(&app, format!("{epsg}/{x}/{y}").parse()?).await
+}
+
+async fn described(app: &App, id: TileId) -> Result<Response, Error> {
+    let store = Arc::clone(&app.state.store);
+    Ok(fresh(app.places.work(move || describe(&*store, id)).await?))
+}
+
+fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
+    let nothing = || Error::NotFound(format!("nothing was ever seen in tile {id}"));
+    let StoredTile { version, tile, encoded } = store.tile(id)?.ok_or_else(nothing)?;
+    let corners = corners(&Grid::new(id.zone)?, [id.x, id.y], [id.x, id.y])?;
+    let mut passes = BTreeMap::<u32, u32>::new();
+    let (mut hits, mut oldest_day) = (0, u16::MAX);
+    for (_, cell) in tile.cells() {
+        *passes.entry(cell.passes).or_default() += 1;
+        hits += u64::from(cell.hits);
+        oldest_day = oldest_day.min(cell.first_day);
+    }
+    let passes: Vec<_> =
+        passes.iter().map(|(passes, cells)| json!({ "passes": passes, "cells": cells })).collect();
+    Ok(json!({
+        "id": id.to_string(),
+        "epsg": id.zone.epsg(),
+        "x": id.x,
+        "y": id.y,
+        "version": version,
+        "cells": tile.len(),
+        "hits": hits,
+        "passes": passes,
+        "oldest_date": (!tile.is_empty()).then(|| iso_date(oldest_day)),
+        "newest_day": tile.newest_day(),
+        "newest_date": (!tile.is_empty()).then(|| iso_date(tile.newest_day())),
+        "bytes": encoded.len(),
+        "corners": corners.map(|at| [at.lon_deg, at.lat_deg]),
+    }))
+}
+
+fn fresh(body: Value) -> Response {
+    ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::http::testing::{Site, austin, json_of};
+    use serde_json::{Value, json};
+
+    #[tokio::test]
+    async fn the_map_in_numbers() {
+        let site = Site::with_tiles(&[(austin(), &[(0, 1), (5, 3)])]);
+        let body = json_of(site.get("/api/v1/map").await).await;
+        assert_eq!((&body["totals"]["tiles"], &body["totals"]["cells"]), (&json!(1), &json!(2)));
+        assert_eq!(body["zones"], json!([{ "epsg": 32614, "name": "UTM 14 north", "tiles": 1 }]));
+        assert!((body["totals"]["area_km2"].as_f64().unwrap() - 0.002_621_44).abs() < 1e-9);
+        assert_eq!(body["bounds"].as_array().unwrap().len(), 4);
+        assert_eq!(body["center"].as_array().unwrap().len(), 2);
+    }
+
+    #[tokio::test]
+    async fn an_empty_map_says_null_and_not_nonsense() {
+        let body = json_of(Site::default().get("/api/v1/map").await).await;
+        assert_eq!((&body["bounds"], &body["center"]), (&Value::Null, &Value::Null));
+        assert_eq!(body["totals"]["newest_date"], Value::Null);
+    }
+
+    #[tokio::test]
+    async fn a_tile_is_found_by_its_name_and_by_a_position_in_it() {
+        let site = Site::with_tiles(&[(austin(), &[(0, 1), (5, 3), (6, 3)])]);
+        let by_name = json_of(site.get(&format!("/api/v1/tiles/{}", austin())).await).await;
+        assert_eq!(by_name["passes"], json!([{ "passes": 1, "cells": 1 }, { "passes": 3, "cells": 2 }]));
+        assert_eq!(by_name["newest_date"], "2024-10-04");
+        let [west, south] = [0, 1].map(|axis| by_name["corners"][0][axis].as_f64().unwrap());
+        let inside = format!("/api/v1/tiles/at?lat={}&lon={}", south + 2e-4, west + 2e-4);
+        assert_eq!(json_of(site.get(&inside).await).await, by_name);
+    }
+
+    #[tokio::test]
+    async fn what_is_no_tile_is_told_apart_from_an_empty_one() {
+        let site = Site::default();
+        for (path, status) in [
+            ("/api/v1/tiles/32614/1/2", 404),
+            ("/api/v1/tiles/4326/1/2", 400),
+            ("/api/v1/tiles/32614/a/2", 400),
+            ("/api/v1/tiles/at?lat=30&lon=-97", 404),
+            ("/api/v1/tiles/at?lat=89&lon=0", 400),
+            ("/api/v1/tiles/at?lat=NaN&lon=0", 400),
+            ("/api/v1/tiles/at?lat=1e308&lon=1e308", 400),
+            ("/api/v1/tiles/at?lat=1", 400),
+        ] {
+            let response = site.get(path).await;
+            assert_eq!(response.status(), status, "{path}");
+            assert!(json_of(response).await["error"]["message"].is_string());
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! The page an operator looks at, embedded in the binary by the build script.
+
+use axum::extract::Path;
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse, Response};
+
+use super::error::Error;
+
+include!(concat!(env!("OUT_DIR"), "/console_assets.rs"));
+
+/// A file of the console.
+struct Asset {
+    name: &'static str,
+    plain: &'static [u8],
+    /// The same, compressed; absent where that gains nothing.
+    gzip: Option<&'static [u8]>,
+}
+
+/// Only our own scripts, styles and data; no frame may show the page.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; worker-src 'self'; \
+    style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; font-src 'self'; manifest-src 'self'; \
+    base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// `GET /`
+pub async fn page(headers: HeaderMap) -> Result<Response, Error> {
+    serve("index.html", "no-cache", &headers)
+}
+
+/// `GET /assets/{name}`: the name holds a hash of the content.
+pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Error> {
+    serve(&format!("assets/{name}"), "public, max-age=31536000, immutable", &headers)
+}
+
+fn serve(name: &str, caching: &'static str, headers: &HeaderMap) -> Result<Response, Error> {
+    let missing = || Error::NotFound(format!("the console has no file `{name}`"));
+    let asset = ASSETS.iter().find(|asset| asset.name == name).ok_or_else(missing)?;
+    let common = [
+        (header::CONTENT_TYPE, content_type(name)),
+        (header::CACHE_CONTROL, caching),
+        (header::VARY, "accept-encoding"),
+        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+        (header::X_FRAME_OPTIONS, "DENY"),
+    ];
+    Ok(match asset.gzip.filter(|_| accepts_gzip(headers)) {
+        Some(gzip) => (common, [(header::CONTENT_ENCODING, "gzip")], gzip).into_response(),
+        None => (common, asset.plain).into_response(),
+    })
+}
+
+fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let given = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    given.flat_map(|list| list.split(',')).any(|coding| {
+        let mut parts = coding.split(';').map(str::trim);
+        let name = parts.next().unwrap_or_default();
+        let refused = parts.any(|p| p.strip_prefix("q=").is_some_and(|q| q.parse() == Ok(0.0_f32)));
+        name.eq_ignore_ascii_case("gzip") && !refused
+    })
+}
+
+fn content_type(name: &str) -> &'static str {
+    match name.rsplit_once('.').map_or("", |(_, ending)| ending) {
+        "html" => "text/html; charset=utf-8",
+        "js" | "mjs" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "json" | "map" => "application/json",
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "woff2" => "font/woff2",
+        "txt" => "text/plain; charset=utf-8",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::testing::{Site, bytes_of};
+    use axum::http::Method;
+
+    #[tokio::test]
+    async fn the_page_allows_only_what_it_brings() {
+        let response = Site::default().get("/").await;
+        let policy = response.headers()["content-security-policy"].to_str().unwrap();
+        assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+        assert_eq!(response.headers()["content-type"], "text/html; charset=utf-8");
+        assert_eq!(response.headers()["cache-control"], "no-cache");
+        let page = String::from_utf8(bytes_of(response).await.to_vec()).unwrap();
+        assert!(page.contains("Echofix") && !page.contains("=\"http") && !page.contains("<style"), "{page}");
+    }
+
+    #[tokio::test]
+    async fn everything_the_page_names_is_served() {
+        let site = Site::default();
+        let page = String::from_utf8(bytes_of(site.get("/").await).await.to_vec()).unwrap();
+        let named: Vec<_> = page.split('"').filter(|part| part.starts_with("/assets/")).collect();
+        assert!(
+            ["text/javascript", "text/css"]
+                .iter()
+                .all(|kind| named.iter().any(|n| content_type(n).starts_with(kind))),
+            "{named:?}"
+        );
+        for path in named {
+            let response = site.get(path).await;
+            assert_eq!(response.status(), 200, "{path}");
+            assert!(response.headers()["cache-control"].to_str().unwrap().contains("immutable"));
+            assert!(response.headers().contains_key("content-security-policy"));
+        }
+        assert_eq!(site.get("/assets/none.js").await.status(), 404);
+        assert_eq!(site.get("/assets/..%2Findex.html").await.status(), 404);
+    }
+
+    #[tokio::test]
+    async fn what_compresses_is_sent_compressed_to_whoever_accepts_it() {
+        let site = Site::default();
+        let script = ASSETS.iter().find(|a| content_type(a.name).starts_with("text/javascript")).unwrap();
+        let path = format!("/{}", script.name);
+        let response = site.send(Method::GET, &path, &[("accept-encoding", "br, gzip;q=0.5")]).await;
+        assert_eq!(response.headers()["content-encoding"], "gzip");
+        assert!(bytes_of(response).await.len() < script.plain.len() / 2);
+        for refusing in ["", "br", "gzip;q=0"] {
+            let response = site.send(Method::GET, &path, &[("accept-encoding", refusing)]).await;
+            assert!(!response.headers().contains_key("content-encoding"), "{refusing}");
+            assert_eq!(bytes_of(response).await, script.plain);
+        }
+    }
+}

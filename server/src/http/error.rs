@@ -1,0 +1,115 @@
+//! Why a request was not answered, and how that is said over HTTP.
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+
+use crate::store;
+
+/// Why a request was not answered.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A parameter is not what it should be.
+    #[error("{0}")]
+    BadRequest(String),
+    /// There is nothing under this address.
+    #[error("{0}")]
+    NotFound(String),
+    /// The route exists, the method does not.
+    #[error("only GET and HEAD are served here")]
+    MethodNotAllowed,
+    /// The address is longer than any of ours.
+    #[error("the address is longer than {limit} bytes")]
+    AddressTooLong {
+        /// Bytes allowed.
+        limit: usize,
+    },
+    /// Every place of this kind is taken.
+    #[error("{0}; try again in a second")]
+    Saturated(&'static str),
+    /// No answer in time.
+    #[error("no answer within {seconds} s")]
+    TimedOut {
+        /// Time allowed.
+        seconds: u64,
+    },
+    /// The store refused.
+    #[error("the map store: {0}")]
+    Store(#[from] store::Error),
+    /// Our own failure.
+    #[error("{0}")]
+    Internal(String),
+}
+
+impl Error {
+    fn status(&self) -> StatusCode {
+        match self {
+            Self::BadRequest(_) => StatusCode::BAD_REQUEST,
+            Self::NotFound(_) => StatusCode::NOT_FOUND,
+            Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
+            Self::Saturated(_) | Self::Store(store::Error::Rebuilding { .. }) => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
+            Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+            Self::Store(_) | Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
+        }
+    }
+
+    fn code(&self) -> &'static str {
+        match self {
+            Self::Store(store::Error::Rebuilding { .. }) => "rebuilding",
+            Self::BadRequest(_) => "bad_request",
+            Self::NotFound(_) => "not_found",
+            Self::MethodNotAllowed => "method_not_allowed",
+            Self::AddressTooLong { .. } => "address_too_long",
+            Self::Saturated(_) => "saturated",
+            Self::TimedOut { .. } => "timed_out",
+            Self::Store(_) => "store",
+            Self::Internal(_) => "internal",
+        }
+    }
+}
+
+impl IntoResponse for Error {
+    fn into_response(self) -> Response {
+        let status = self.status();
+        if status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(error = %self, "request failed");
+        }
+        let body = Json(json!({ "error": { "code": self.code(), "message": self.to_string() } }));
+        let mut response = (status, body).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        match status {
+            StatusCode::SERVICE_UNAVAILABLE => {
+                headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"))
+            }
+            StatusCode::METHOD_NOT_ALLOWED => {
+                headers.insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"))
+            }
+            _ => None,
+        };
+        response
+    }
+}
+
+impl From<echofix_core::geo::Error> for Error {
+    fn from(error: echofix_core::geo::Error) -> Self {
+        Self::BadRequest(error.to_string())
+    }
+}
+
+impl From<QueryRejection> for Error {
+    fn from(rejection: QueryRejection) -> Self {
+        Self::BadRequest(rejection.body_text())
+    }
+}
+
+impl From<tokio::task::JoinError> for Error {
+    fn from(error: tokio::task::JoinError) -> Self {
+        Self::Internal(format!("a blocking task did not end well: {error}"))
+    }
+}

@@ -1,0 +1,271 @@
+//! Map tiles and their `TileJSON`.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+
+use super::App;
+use super::error::Error;
+use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
+
+/// The whole of Web Mercator, for a map that is empty.
+const WORLD: [f64; 4] = [-180.0, -85.051_129, 180.0, 85.051_129];
+
+/// `GET /tiles/{layer}/{z}/{x}/{y}.png`, also `{y}@2x.png`
+pub async fn tile(
+    State(app): State<Arc<App>>,
+    Path((layer, z, x, file)): Path<(String, String, String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, Error> {
+    let layer: Layer = layer.parse()?;
+    let view = View::parse(&z, &x, &file)?;
+    let artist: Arc<Artist> = Arc::clone(&app.artist);
+    let answer = app.places.work(move || artist.draw(layer, view, |tag| is_known(&headers, tag))).await?;
+    let headers = [(header::ETAG, answer.tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
+    Ok(match answer.png {
+        Some(png) => (headers, [(header::CONTENT_TYPE, "image/png")], png).into_response(),
+        None => (StatusCode::NOT_MODIFIED, headers).into_response(),
+    })
+}
+
+/// Whether the client's `If-None-Match` names this tag.
+fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    let given = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+    given.flat_map(|list| list.split(',')).map(str::trim).any(|one| {
+        // A weak comparison, as RFC 9110, 13.1.2 asks for.
+        one == "*" || one.strip_prefix("W/").unwrap_or(one) == tag
+    })
+}
+
+/// `GET /tiles/{layer}.json`
+pub async fn tilejson(
+    State(app): State<Arc<App>>,
+    Path(file): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Error> {
+    let expected =
+        || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
+    let layer: Layer = file.strip_suffix(".json").ok_or_else(expected)?.parse()?;
+    let artist = Arc::clone(&app.artist);
+    let overview = app.places.work(move || artist.overview()).await?;
+    let body = json!({
+        "tilejson": "3.0.0",
+        "name": format!("Echofix {layer}"),
+        "description": layer.description(),
+        "version": format!("1.0.{}", overview.epoch),
+        "scheme": "xyz",
+        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png", origin(&headers))],
+        "minzoom": 0,
+        "maxzoom": MAX_ZOOM,
+        "bounds": overview.bounds().unwrap_or(WORLD),
+        "center": overview.center().map(|[lon, lat]| json!([lon, lat, 16])),
+        "attribution": "Echofix radar map",
+        "vector_layers": [],
+        "legend": legend(layer),
+    });
+    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
+}
+
+/// `http://host:port` as the client reached us, or nothing: then addresses are relative.
+fn origin(headers: &HeaderMap) -> String {
+    let text = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
+    let scheme =
+        text("x-forwarded-proto").filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or("http");
+    let is_plain = |host: &&str| host.bytes().all(|b| b.is_ascii_alphanumeric() || b".:-[]_".contains(&b));
+    let host = text("host").filter(is_plain).filter(|host| !host.is_empty());
+    host.map(|host| format!("{scheme}://{host}")).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::testing::{Site, austin, json_of, pixels_of};
+    use axum::http::Method;
+    use echofix_core::geo::{CELL_M, Grid, LatLon, TileId, Zone};
+    use std::sync::atomic::Ordering;
+
+    /// The map tile at a zoom that shows a cell of the Austin tile, and the pixel of its centre.
+    fn place(z: u8, cell: u32) -> (String, [usize; 2]) {
+        let id = austin();
+        let [x0, y0] = id.origin();
+        let centre =
+            [x0 + (f64::from(cell % 512) + 0.5) * CELL_M, y0 + (f64::from(cell / 512) + 0.5) * CELL_M];
+        let at = Grid::new(id.zone).unwrap().unproject(centre).unwrap();
+        // The textbook formula, written out here on its own.
+        let n = f64::from(1_u32 << z);
+        let lat = at.lat_deg.to_radians();
+        let x = (at.lon_deg + 180.0) / 360.0 * n;
+        let y = (1.0 - (lat.tan() + 1.0 / lat.cos()).ln() / std::f64::consts::PI) / 2.0 * n;
+        let pixel = [x, y].map(|v| (v.fract() * 256.0) as usize);
+        (format!("{z}/{}/{}", x as u32, y as u32), pixel)
+    }
+
+    #[tokio::test]
+    async fn a_known_cell_is_drawn_at_its_pixel() {
+        let cell = 300 * 512 + 200;
+        let site = Site::with_tiles(&[(austin(), &[(cell, 5)])]);
+        for z in 0..=22 {
+            let (path, [px, py]) = place(z, cell);
+            for layer in ["evidence", "coverage", "age"] {
+                let pixels = pixels_of(site.get(&format!("/tiles/{layer}/{path}.png")).await).await;
+                assert!(pixels[py * 256 + px][3] > 0, "{layer} at zoom {z}");
+                let drawn = pixels.iter().filter(|p| p[3] > 0).count();
+                let most = if z >= 14 && layer != "coverage" { 25 } else { 256 * 256 };
+                assert!((1..=most).contains(&drawn), "{drawn} pixels of {layer} at zoom {z}");
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn a_cell_is_as_wide_as_its_ground_at_the_deepest_zoom() {
+        let cell = 300 * 512 + 200;
+        let site = Site::with_tiles(&[(austin(), &[(cell, 5)])]);
+        let (path, _) = place(22, cell);
+        let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}.png")).await).await;
+        let drawn = pixels.iter().filter(|p| p[3] > 0).count() as f64;
+        // 0.1 m over 0.0373 m * cos(30.27 deg) of a pixel is 3.10 pixels.
+        assert!((drawn.sqrt() - 3.1).abs() < 0.4, "{drawn}");
+    }
+
+    #[tokio::test]
+    async fn dense_screens_get_twice_the_pixels() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let (path, [px, py]) = place(19, 7);
+        let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}@2x.png")).await).await;
+        assert_eq!(pixels.len(), 512 * 512);
+        let around = |i: usize| (2 * i).saturating_sub(1)..=2 * i + 2;
+        assert!(around(py).any(|y| around(px).any(|x| pixels[(y * 512 + x).min(pixels.len() - 1)][3] > 0)));
+    }
+
+    #[tokio::test]
+    async fn an_unchanged_tile_is_not_sent_again() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        for z in [3, 12, 19] {
+            let path = format!("/tiles/evidence/{}.png", place(z, 7).0);
+            let first = site.get(&path).await;
+            assert_eq!(
+                (first.status(), &first.headers()["cache-control"]),
+                (StatusCode::OK, &"no-cache".parse().unwrap())
+            );
+            let tag = first.headers()["etag"].to_str().unwrap().to_owned();
+            let weak = format!("\"other\", W/{tag}");
+            let again = site.send(Method::GET, &path, &[("if-none-match", &weak)]).await;
+            assert_eq!(again.status(), StatusCode::NOT_MODIFIED);
+            assert_eq!(again.headers()["etag"], tag);
+            let other_layer = site.get(&path.replace("evidence", "age")).await;
+            assert_ne!(other_layer.headers()["etag"], tag);
+            site.store.touch(austin());
+            tokio::time::sleep(std::time::Duration::from_millis(if z == 3 { 1050 } else { 0 })).await;
+            let changed = site.send(Method::GET, &path, &[("if-none-match", &tag)]).await;
+            assert_eq!(changed.status(), StatusCode::OK, "zoom {z}");
+        }
+    }
+
+    #[tokio::test]
+    async fn no_far_view_decodes_tiles_and_no_near_one_twice() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let reads = || site.store.reads.load(Ordering::Relaxed);
+        for z in 0..14 {
+            pixels_of(site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await).await;
+        }
+        assert_eq!(reads(), 0);
+        for layer in ["evidence", "age", "evidence"] {
+            pixels_of(site.get(&format!("/tiles/{layer}/{}.png", place(15, 7).0)).await).await;
+        }
+        assert_eq!(reads(), 1);
+    }
+
+    #[tokio::test]
+    async fn a_pixel_is_drawn_from_the_zone_it_belongs_to() {
+        // Tiles of both zones on both sides of their border at 6 degrees east, as the map keeps them.
+        let tile = |epsg, lon_deg| {
+            let grid = Grid::new(Zone::from_epsg(epsg).unwrap()).unwrap();
+            TileId::of(grid.zone(), grid.project(LatLon { lat_deg: 51.0, lon_deg }).unwrap())
+        };
+        let full: Vec<(u32, u32)> = (0..512 * 512).map(|index| (index, 5)).collect();
+        let drawn = async |tiles: &[TileId]| {
+            let tiles: Vec<_> = tiles.iter().map(|id| (*id, full.as_slice())).collect();
+            let n = f64::from(1 << 17);
+            let x = (6.0_f64 + 180.0) / 360.0 * n;
+            let y = (1.0 - 51_f64.to_radians().tan().asinh() / std::f64::consts::PI) / 2.0 * n;
+            let path = format!("/tiles/evidence/17/{}/{}.png", x as u32, y as u32);
+            let pixels = pixels_of(Site::with_tiles(&tiles).get(&path).await).await;
+            // 6 degrees east is x = 67720.53 at this zoom: the border lies within the picture.
+            let border = (x.fract() * 256.0) as usize;
+            let count = |west: bool| {
+                pixels.iter().enumerate().filter(|(i, p)| p[3] > 0 && (i % 256 < border) == west).count()
+            };
+            (count(true), count(false))
+        };
+        let (west, east) = (5.9997, 6.0003);
+        let wrong_side = drawn(&[tile(32631, east + 0.001), tile(32632, west - 0.001)]).await;
+        assert_eq!(wrong_side, (0, 0));
+        let (on_west, on_east) = drawn(&[tile(32631, west - 0.0004), tile(32632, east + 0.0004)]).await;
+        assert!(on_west > 500 && on_east > 500, "{on_west} {on_east}");
+    }
+
+    #[tokio::test]
+    async fn a_map_that_is_not_whole_is_not_shown() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        site.store.rebuild();
+        for z in [5, 12, 18] {
+            let response = site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await;
+            assert_eq!(
+                (response.status().as_u16(), &response.headers()["retry-after"]),
+                (503, &"1".parse().unwrap())
+            );
+            assert_eq!(json_of(response).await["error"]["code"], "rebuilding");
+        }
+    }
+
+    #[tokio::test]
+    async fn an_empty_tile_is_a_transparent_picture() {
+        let site = Site::default();
+        for z in [0, 11, 20] {
+            let pixels = pixels_of(site.get(&format!("/tiles/evidence/{z}/0/0.png")).await).await;
+            assert!(pixels.iter().all(|p| p[3] == 0));
+        }
+    }
+
+    #[tokio::test]
+    async fn bad_addresses_say_what_is_expected() {
+        let site = Site::default();
+        for (path, status, hint) in [
+            ("/tiles/roads/0/0/0.png", 404, "evidence, coverage or age"),
+            ("/tiles/evidence/23/0/0.png", 400, "z from 0 to 22"),
+            ("/tiles/evidence/1/2/0.png", 400, "2^z - 1"),
+            ("/tiles/evidence/1/0/0.jpg", 400, "y.png"),
+            ("/tiles/evidence", 404, "<layer>.json"),
+            ("/tiles/roads.json", 404, "evidence, coverage or age"),
+        ] {
+            let response = site.get(path).await;
+            assert_eq!(response.status(), status, "{path}");
+            let body = json_of(response).await;
+            let message = body["error"]["message"].as_str().unwrap();
+            assert!(message.contains(hint), "{path}: {message}");
+        }
+    }
+
+    #[tokio::test]
+    async fn tilejson_tells_where_and_what() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let body =
+            json_of(site.send(Method::GET, "/tiles/age.json", &[("host", "map.example:8080")]).await).await;
+        assert_eq!(body["tilejson"], "3.0.0");
+        assert_eq!(body["tiles"][0], "http://map.example:8080/tiles/age/{z}/{x}/{y}.png");
+        assert_eq!((&body["minzoom"], &body["maxzoom"]), (&json!(0), &json!(22)));
+        let bounds: Vec<f64> =
+            body["bounds"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        assert!(
+            bounds[0] < bounds[2] && bounds[1] < bounds[3] && (bounds[1] - 30.26).abs() < 0.1,
+            "{bounds:?}"
+        );
+        assert_eq!(body["legend"][0]["label"], "today");
+        let spoofed = site.send(Method::GET, "/tiles/age.json", &[("host", "a\"b")]).await;
+        assert_eq!(json_of(spoofed).await["tiles"][0], "/tiles/age/{z}/{x}/{y}.png");
+    }
+}

@@ -1,0 +1,130 @@
+//! What one listener or many may cost: lengths, times, places.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::Request;
+use axum::http::{HeaderName, HeaderValue, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::timeout;
+
+use super::error::Error;
+
+/// Longest address served, bytes; the longest sensible one is a tenth of it.
+const MAX_ADDRESS: usize = 1024;
+/// Time for an answer to begin.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+/// Requests that may wait for a place to render.
+const WAITING: usize = 64;
+/// Time a request waits for a place to render.
+const WAIT_AT_MOST: Duration = Duration::from_secs(5);
+/// Event streams open at once.
+const LISTENERS: usize = 64;
+
+/// Refuses long addresses and ends slow answers.
+pub async fn guard(request: Request, next: Next) -> Response {
+    let uri = request.uri();
+    let length = uri.path().len() + uri.query().map_or(0, str::len);
+    if length > MAX_ADDRESS {
+        return Error::AddressTooLong { limit: MAX_ADDRESS }.into_response();
+    }
+    let late = Error::TimedOut { seconds: ANSWER_WITHIN.as_secs() };
+    let answer = timeout(ANSWER_WITHIN, next.run(request)).await;
+    with_safe_headers(answer.unwrap_or_else(|_| late.into_response()))
+}
+
+fn with_safe_headers(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    let always: [(HeaderName, &'static str); 3] = [
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-site"),
+    ];
+    for (name, value) in always {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// Places to work in, so that a crowd of page views cannot take the machine from the vehicles.
+pub struct Places {
+    waiting: Arc<Semaphore>,
+    working: Arc<Semaphore>,
+    listening: Arc<Semaphore>,
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        Self::new(WAITING, cores.div_ceil(2), LISTENERS)
+    }
+}
+
+impl Places {
+    /// So many may wait, work and listen at once.
+    pub fn new(waiting: usize, working: usize, listening: usize) -> Self {
+        let semaphore = |n| Arc::new(Semaphore::new(n));
+        Self { waiting: semaphore(waiting), working: semaphore(working), listening: semaphore(listening) }
+    }
+
+    /// Runs blocking work once there is a place for it.
+    ///
+    /// # Errors
+    /// When too many wait already or the wait is too long.
+    pub async fn work<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        const FULL: Error = Error::Saturated("every place to render is taken");
+        let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
+        let place = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
+        let place = place.map_err(|_| FULL)?.map_err(|_| FULL)?;
+        tokio::task::spawn_blocking(move || {
+            // Held by the work, not by the request: a client that hangs up frees no place early.
+            let _held = (queued, place);
+            work()
+        })
+        .await?
+    }
+
+    /// A place to listen from, given back when dropped.
+    ///
+    /// # Errors
+    /// When all are taken.
+    pub fn listen(&self) -> Result<OwnedSemaphorePermit, Error> {
+        const FULL: Error = Error::Saturated("every place to listen is taken");
+        Arc::clone(&self.listening).try_acquire_owned().map_err(|_| FULL)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_crowd_is_turned_away_at_once() {
+        let places = Places::new(1, 1, 1);
+        let (release, wait) = std::sync::mpsc::channel::<()>();
+        let busy = places.work(move || Ok(wait.recv().is_ok()));
+        let turned_away = async {
+            let answer = places.work(|| Ok(())).await;
+            release.send(()).unwrap();
+            answer
+        };
+        let (busy, turned_away) = tokio::join!(busy, turned_away);
+        assert!(busy.unwrap());
+        assert!(matches!(turned_away, Err(Error::Saturated(_))));
+        places.work(|| Ok(())).await.unwrap();
+    }
+
+    #[test]
+    fn listeners_are_bounded_and_their_place_comes_back() {
+        let places = Places::new(1, 1, 1);
+        let first = places.listen().unwrap();
+        assert!(matches!(places.listen(), Err(Error::Saturated(_))));
+        drop(first);
+        assert!(places.listen().is_ok());
+    }
+}

@@ -1,0 +1,154 @@
+//! The last fixes and uploads, and the stream of new ones.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::header;
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::sync::broadcast::Receiver;
+use tokio_stream::wrappers::{BroadcastStream, WatchStream};
+use tokio_stream::{Stream, StreamExt};
+
+use super::error::Error;
+use super::{App, catalog, probes};
+
+const MAX_LIMIT: usize = 500;
+
+/// `?limit=`
+#[derive(Deserialize)]
+pub struct Limit {
+    limit: Option<usize>,
+}
+
+impl Limit {
+    fn get(&self) -> Result<usize, Error> {
+        let limit = self.limit.unwrap_or(100);
+        let refusal = || Error::BadRequest(format!("limit is {limit}; expected 1 to {MAX_LIMIT}"));
+        (1..=MAX_LIMIT).contains(&limit).then_some(limit).ok_or_else(refusal)
+    }
+}
+
+type LimitQuery = Result<Query<Limit>, QueryRejection>;
+
+/// `GET /api/v1/fixes`, newest first
+pub async fn fixes(State(app): State<Arc<App>>, limit: LimitQuery) -> Result<Response, Error> {
+    let mut fixes = app.state.feed.fixes.recent(limit?.get()?);
+    fixes.reverse();
+    Ok(fresh(json!({ "fixes": fixes })))
+}
+
+/// `GET /api/v1/uploads`, newest first
+pub async fn uploads(State(app): State<Arc<App>>, limit: LimitQuery) -> Result<Response, Error> {
+    let mut uploads = app.state.feed.uploads.recent(limit?.get()?);
+    uploads.reverse();
+    Ok(fresh(json!({ "uploads": uploads })))
+}
+
+fn fresh(body: serde_json::Value) -> Response {
+    ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
+}
+
+/// `GET /api/v1/events`
+pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Error> {
+    let place = app.places.listen()?;
+    let feed = &app.state.feed;
+    let map = WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::told(&now)));
+    let health = WatchStream::new(app.state.health.follow()).map(|now| event("health", &probes::told(&now)));
+    let stream = map
+        .merge(health)
+        .merge(told("fix", feed.fixes.subscribe()))
+        .merge(told("upload", feed.uploads.subscribe()))
+        .map(move |event| {
+            // The place is given back when the stream ends.
+            let _held = &place;
+            Ok::<_, Infallible>(event)
+        });
+    let sse = Sse::new(stream).keep_alive(KeepAlive::new().interval(Duration::from_secs(15)));
+    Ok(([("x-accel-buffering", "no")], sse))
+}
+
+/// Events of a feed; a listener that was too slow hears how many it missed.
+fn told<T>(name: &'static str, feed: Receiver<T>) -> impl Stream<Item = Event>
+where
+    T: Serialize + Clone + Send + 'static,
+{
+    BroadcastStream::new(feed).map(move |next| match next {
+        Ok(item) => event(name, &item),
+        Err(tokio_stream::wrappers::errors::BroadcastStreamRecvError::Lagged(missed)) => {
+            event("missed", &json!({ "event": name, "count": missed }))
+        }
+    })
+}
+
+fn event(name: &'static str, body: &impl Serialize) -> Event {
+    let event = Event::default().event(name);
+    // Our own plain structs always have a JSON form; an event without one is sent without a body.
+    event.clone().json_data(body).unwrap_or(event)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::testing::{Site, a_fix, an_upload, json_of};
+
+    /// Reads the stream until `wanted` was seen.
+    async fn read_until(body: axum::body::Body, wanted: &[&str]) -> String {
+        let mut stream = body.into_data_stream();
+        let mut text = String::new();
+        let reading = async {
+            while !wanted.iter().all(|w| text.contains(w)) {
+                text += std::str::from_utf8(&stream.next().await.unwrap().unwrap()).unwrap();
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(5), reading).await.unwrap();
+        text
+    }
+
+    #[tokio::test]
+    async fn a_published_fix_reaches_the_page() {
+        let site = Site::default();
+        let response = site.get("/api/v1/events").await;
+        assert_eq!(response.headers()["content-type"], "text/event-stream");
+        site.state.feed.fixes.publish(a_fix());
+        site.state.feed.uploads.publish(an_upload());
+        let wanted = [
+            "event: map",
+            "event: fix",
+            "\"correction_m\":1.25",
+            "event: upload",
+            "event: health",
+            "starting",
+        ];
+        read_until(response.into_body(), &wanted).await;
+    }
+
+    #[tokio::test]
+    async fn a_new_epoch_is_told() {
+        let site = Site::default();
+        let response = site.get("/api/v1/events").await;
+        site.store.publish_epoch(42);
+        read_until(response.into_body(), &["\"epoch\":42"]).await;
+    }
+
+    #[tokio::test]
+    async fn lists_are_newest_first_and_limits_checked() {
+        let site = Site::default();
+        for answered_us in [1, 2, 3] {
+            site.state.feed.fixes.publish(crate::feed::FixEvent { answered_us, ..a_fix() });
+        }
+        let body = json_of(site.get("/api/v1/fixes?limit=2").await).await;
+        let times: Vec<_> =
+            body["fixes"].as_array().unwrap().iter().map(|f| f["answered_us"].clone()).collect();
+        assert_eq!(times, [3, 2]);
+        for bad in ["0", "501", "many", "-1"] {
+            assert_eq!(site.get(&format!("/api/v1/uploads?limit={bad}")).await.status(), 400, "{bad}");
+        }
+    }
+}

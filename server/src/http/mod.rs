@@ -1,0 +1,120 @@
+//! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
+//!
+//! - `error`: why a request was not answered, said once.
+//! - `limits`: what one request or a crowd may cost.
+//! - `probes`: alive, ready, counted.
+//! - `catalog`: the map in numbers, one tile in numbers.
+//! - `live`: the last fixes and uploads, and the stream of new ones.
+//! - `layers`: map tiles and their `TileJSON`.
+//! - `raster`: how a map tile is drawn.
+//! - `openapi`: the description of all this.
+//! - `console`: the page an operator looks at.
+
+mod catalog;
+mod console;
+mod day;
+mod error;
+mod layers;
+mod limits;
+mod live;
+mod openapi;
+mod probes;
+mod raster;
+#[cfg(test)]
+mod testing;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::middleware::from_fn;
+use axum::routing::{MethodRouter, get};
+
+use crate::feed::Feed;
+use crate::health::Health;
+use crate::metrics::Metrics;
+use crate::store::MapStore;
+use error::Error;
+
+/// What the routes answer from.
+#[derive(Clone)]
+pub struct HttpState {
+    /// The map.
+    pub store: Arc<dyn MapStore>,
+    /// The last fixes and uploads.
+    pub feed: Arc<Feed>,
+    /// What the service counts.
+    pub metrics: Arc<Metrics>,
+    /// Whether the service is ready.
+    pub health: Arc<Health>,
+}
+
+/// The state of the routes: what they answer from, what they keep, what they may use.
+struct App {
+    state: HttpState,
+    artist: Arc<raster::Artist>,
+    places: limits::Places,
+}
+
+/// The routes, ready to be served.
+pub fn router(state: HttpState) -> Router {
+    let artist = Arc::new(raster::Artist::new(Arc::clone(&state.store)));
+    let app = Arc::new(App { state, artist, places: limits::Places::default() });
+    routes()
+        .into_iter()
+        .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
+        .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
+        .method_not_allowed_fallback(async || Error::MethodNotAllowed)
+        .layer(from_fn(limits::guard))
+        .with_state(app)
+}
+
+/// The paths of all routes, parameters in braces. Every route answers GET and HEAD, no other method.
+#[must_use]
+pub fn paths() -> Vec<&'static str> {
+    routes().into_iter().map(|(path, _)| path).collect()
+}
+
+fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
+    vec![
+        ("/healthz", get(probes::healthz)),
+        ("/readyz", get(probes::readyz)),
+        ("/metrics", get(probes::metrics)),
+        ("/tiles/{layer}", get(layers::tilejson)),
+        ("/tiles/{layer}/{z}/{x}/{y}", get(layers::tile)),
+        ("/api/v1/map", get(catalog::map)),
+        ("/api/v1/tiles/at", get(catalog::tile_at)),
+        ("/api/v1/tiles/{epsg}/{x}/{y}", get(catalog::tile)),
+        ("/api/v1/fixes", get(live::fixes)),
+        ("/api/v1/uploads", get(live::uploads)),
+        ("/api/v1/events", get(live::events)),
+        ("/openapi.json", get(openapi::document)),
+        ("/", get(console::page)),
+        ("/assets/{name}", get(console::asset)),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::testing::{Site, json_of};
+    use axum::http::Method;
+
+    #[tokio::test]
+    async fn what_is_not_served_says_so_in_json() {
+        let site = Site::default();
+        let response = site.get("/nowhere").await;
+        assert_eq!(response.status(), 404);
+        assert_eq!(json_of(response).await["error"]["code"], "not_found");
+        let response = site.send(Method::POST, "/healthz", &[]).await;
+        assert_eq!(response.status(), 405);
+        let response = site.get(&format!("/api/v1/map?{}", "x".repeat(2000))).await;
+        assert_eq!(response.status(), 414);
+    }
+
+    #[tokio::test]
+    async fn every_answer_forbids_guessing_its_type() {
+        let site = Site::default();
+        for path in ["/healthz", "/", "/nowhere", "/tiles/evidence/0/0/0.png"] {
+            assert_eq!(site.get(path).await.headers()["x-content-type-options"], "nosniff", "{path}");
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Draws map tiles on request, and remembers.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use echofix_core::geo::TileId;
+use moka::sync::Cache;
+
+use super::plane::Plane;
+use super::scene::{Scene, TILES_FROM};
+use super::summary::{self, Summary};
+use super::{Layer, Overview, View, palette};
+use crate::http::error::Error;
+use crate::store::{MapStore, TileInfo};
+
+/// Bytes of pictures to remember.
+const PICTURES: u64 = 32 << 20;
+/// Bytes of tile summaries to remember.
+const SUMMARIES: u64 = 64 << 20;
+/// The overview is made anew at most this often.
+const OVERVIEW_EVERY: Duration = Duration::from_secs(1);
+
+/// The answer to a request for a map tile.
+pub struct Answer {
+    /// Names the picture.
+    pub tag: String,
+    /// The picture; absent when the one asked about is still right.
+    pub png: Option<Bytes>,
+}
+
+/// Draws map tiles. Every call may block on the disk.
+pub struct Artist {
+    store: Arc<dyn MapStore>,
+    pictures: Cache<(Layer, View), (String, Bytes)>,
+    summaries: Cache<TileId, (u64, Arc<Summary>)>,
+    overview: Mutex<Option<(Instant, Arc<Overview>)>>,
+}
+
+impl Artist {
+    /// An artist who has drawn nothing yet.
+    pub fn new(store: Arc<dyn MapStore>) -> Self {
+        Self {
+            store,
+            pictures: Cache::builder()
+                .max_capacity(PICTURES)
+                .weigher(|_, (_, png): &(String, Bytes)| png.len() as u32)
+                .build(),
+            summaries: Cache::builder()
+                .max_capacity(SUMMARIES)
+                .weigher(|_, (_, summary): &(u64, Arc<Summary>)| summary.weight() as u32)
+                .build(),
+            overview: Mutex::new(None),
+        }
+    }
+
+    /// A view of a layer, unless `is_known` knows its tag.
+    ///
+    /// # Errors
+    /// When the store refuses.
+    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Answer, Error> {
+        let scene = if view.z < TILES_FROM {
+            Scene::Far(self.overview()?)
+        } else {
+            Scene::near(&*self.store, &view)?
+        };
+        let newest_day = self.store.totals().newest_day;
+        let tag = scene.tag(layer, &view, newest_day);
+        if is_known(&tag) {
+            return Ok(Answer { tag, png: None });
+        }
+        if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(kept, _)| *kept == tag) {
+            return Ok(Answer { tag, png: Some(png) });
+        }
+        let spots = scene.spots(layer, &view, &|plane, tile| self.fetch(plane, tile))?;
+        let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
+        self.pictures.insert((layer, view), (tag.clone(), png.clone()));
+        Ok(Answer { tag, png: Some(png) })
+    }
+
+    /// The whole map from far away, at most a second old or of the newest epoch.
+    ///
+    /// # Errors
+    /// When the store refuses.
+    pub fn overview(&self) -> Result<Arc<Overview>, Error> {
+        let epoch = self.store.progress().borrow().epoch;
+        // Held while it is made: a crowd waits for one instead of making many.
+        let mut kept = lock(&self.overview);
+        if let Some((made, overview)) = &*kept
+            && (overview.epoch == epoch || made.elapsed() < OVERVIEW_EVERY)
+        {
+            return Ok(Arc::clone(overview));
+        }
+        let overview = Arc::new(Overview::of(&*self.store)?);
+        *kept = Some((Instant::now(), Arc::clone(&overview)));
+        Ok(overview)
+    }
+
+    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one.
+    fn fetch(&self, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
+        if plane.shift() >= summary::SHIFT {
+            if let Some(summary) = self.summary(tile)? {
+                plane.add(tile.id, summary::SHIFT, summary.blocks());
+            }
+        } else if let Some(stored) = self.store.tile(tile.id)? {
+            plane.add(tile.id, 0, summary::cells(&stored.tile));
+        }
+        Ok(())
+    }
+
+    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<Summary>>, Error> {
+        let kept = self.summaries.get(&tile.id);
+        if let Some((version, summary)) = kept
+            && version >= tile.version
+        {
+            return Ok(Some(summary));
+        }
+        let Some(stored) = self.store.tile(tile.id)? else { return Ok(None) };
+        let summary = Arc::new(Summary::of(&stored.tile));
+        self.summaries.insert(tile.id, (stored.version, Arc::clone(&summary)));
+        Ok(Some(summary))
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A panic while holding it leaves an overview that is whole, or none.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

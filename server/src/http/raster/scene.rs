@@ -1,0 +1,165 @@
+//! What contributes to a view, and what the view then shows.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
+
+use echofix_core::geo::{Grid, TILE_M, TileId, Zone};
+
+use super::plane::{Plane, TILE_SHIFT};
+use super::view::Lattice;
+use super::{Layer, Overview, Spot, View};
+use crate::http::error::Error;
+use crate::store::{MapStore, TileInfo};
+
+/// From this zoom on a view shows tiles, below it the overview's blocks.
+pub const TILES_FROM: u8 = 10;
+/// From this zoom on a view shows cells (at most some 2500 tiles lie under it), below it the
+/// catalog's counts.
+pub const CELLS_FROM: u8 = 14;
+/// Occupied cells of a tile that shine brightest.
+const FULL: f64 = 12_000.0;
+/// Narrowest tile whose border is drawn, pixels.
+const BORDERED: f64 = 8.0;
+
+/// All that contributes to a view.
+pub enum Scene {
+    /// The whole map from far away.
+    Far(Arc<Overview>),
+    /// Tiles of one zone or of several.
+    Near(Vec<Part>),
+}
+
+/// A zone's part of a view.
+pub struct Part {
+    zone: Zone,
+    lattice: Lattice,
+    tiles: Vec<TileInfo>,
+}
+
+/// Adds a tile's evidence to a plane.
+pub type Fetch<'a> = &'a dyn Fn(&mut Plane, &TileInfo) -> Result<(), Error>;
+
+impl Scene {
+    /// The tiles under a near view.
+    ///
+    /// # Errors
+    /// When the store refuses.
+    pub fn near(store: &dyn MapStore, view: &View) -> Result<Self, Error> {
+        let mapped = store.zones();
+        let mut parts = Vec::new();
+        for zone in zones_of(view).into_iter().filter(|zone| mapped.contains(zone)) {
+            let lattice = Lattice::new(view, &Grid::new(zone)?)?;
+            let [low, high] = lattice.bounds().map(|corner| TileId::of(zone, corner));
+            let tiles = store.catalog(zone, low.x..=high.x, low.y..=high.y)?;
+            parts.push(Part { zone, lattice, tiles });
+        }
+        Ok(Self::Near(parts))
+    }
+
+    /// Names what the view shows: equal tags, equal pictures.
+    pub fn tag(&self, layer: Layer, view: &View, newest_day: u16) -> String {
+        let mut hash = DefaultHasher::new();
+        (env!("CARGO_PKG_VERSION"), layer, view).hash(&mut hash);
+        if layer == Layer::Age {
+            newest_day.hash(&mut hash);
+        }
+        match self {
+            Self::Far(overview) => {
+                for (rectangle, version, spot) in overview.seen_in(view) {
+                    (rectangle.x0, rectangle.y0, version, spot.level, spot.day).hash(&mut hash);
+                }
+            }
+            Self::Near(parts) => {
+                for tile in parts.iter().flat_map(|part| &part.tiles) {
+                    (tile.id, tile.version).hash(&mut hash);
+                }
+            }
+        }
+        format!("\"{:016x}\"", hash.finish())
+    }
+
+    /// What the pixels show, row by row from the north-west.
+    ///
+    /// # Errors
+    /// When the store refuses.
+    pub fn spots(&self, layer: Layer, view: &View, fetch: Fetch) -> Result<Vec<Spot>, Error> {
+        let mut spots = vec![Spot::NOTHING; view.side * view.side];
+        match self {
+            Self::Far(overview) => {
+                for (at, _, spot) in overview.seen_in(view) {
+                    for y in at.y0..at.y1 {
+                        let row = y * view.side;
+                        for here in &mut spots[row + at.x0..row + at.x1] {
+                            here.raise(spot);
+                        }
+                    }
+                }
+            }
+            Self::Near(parts) => {
+                for part in parts.iter().filter(|part| !part.tiles.is_empty()) {
+                    part.draw(layer, view, fetch, &mut spots)?;
+                }
+            }
+        }
+        Ok(spots)
+    }
+}
+
+impl Part {
+    /// Draws the pixels that belong to the zone.
+    fn draw(&self, layer: Layer, view: &View, fetch: Fetch, spots: &mut [Spot]) -> Result<(), Error> {
+        let pixel_m = view.pixel_m();
+        let plane = self.plane(layer, view, fetch)?;
+        for (i, spot) in spots.iter_mut().enumerate() {
+            let (px, py) = ((i % view.side) as f64 + 0.5, (i / view.side) as f64 + 0.5);
+            let at = self.lattice.at(px, py);
+            let found = plane.sample(at, pixel_m);
+            if found.level > 0 && Zone::of(view.at(px, py)) == Ok(self.zone) {
+                *spot = if layer == Layer::Coverage { bordered(found, at, pixel_m) } else { found };
+            }
+        }
+        Ok(())
+    }
+
+    fn plane(&self, layer: Layer, view: &View, fetch: Fetch) -> Result<Plane, Error> {
+        let whole_tiles = layer == Layer::Coverage || view.z < CELLS_FROM;
+        let finest = if layer == Layer::Coverage { TILE_SHIFT } else { 0 };
+        let [low, high] = self.lattice.bounds();
+        let mut plane = Plane::new(low, high, Plane::shift_for(view.pixel_m()).max(finest));
+        for tile in &self.tiles {
+            if whole_tiles {
+                let spot = Spot::of_count(tile.cells, FULL, tile.newest_day);
+                plane.add(tile.id, TILE_SHIFT, std::iter::once((0, 0, spot)));
+            } else {
+                fetch(&mut plane, tile)?;
+            }
+        }
+        Ok(plane)
+    }
+}
+
+/// Lifts the pixels along a tile's border, once tiles are wide enough to tell apart.
+fn bordered(spot: Spot, at: [f64; 2], pixel_m: f64) -> Spot {
+    let on_border = at.iter().any(|m| m.rem_euclid(TILE_M) < pixel_m);
+    let level = if on_border && TILE_M > BORDERED * pixel_m { 255 } else { spot.level };
+    Spot { level, ..spot }
+}
+
+/// The zones the view's pixels belong to.
+fn zones_of(view: &View) -> Vec<Zone> {
+    // Borders run along meridians and parallels, so a zone is at least seen on a coarse grid or at
+    // the rim; 4 pixels of a view that is 40 km wide are far less than a zone.
+    let step = 4;
+    let mut zones: Vec<Zone> = Vec::new();
+    for row in (0..=view.side).step_by(step) {
+        for column in (0..=view.side).step_by(step) {
+            let (px, py) = (column as f64, row as f64);
+            if let Ok(zone) = Zone::of(view.at(px, py))
+                && !zones.contains(&zone)
+            {
+                zones.push(zone);
+            }
+        }
+    }
+    zones
+}

@@ -1,0 +1,237 @@
+//! A small map and a site that serves it, for the tests of this room.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::ops::RangeInclusive;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::http::{Method, Request};
+use axum::response::Response;
+use bytes::Bytes;
+use echofix_core::evidence::Cell;
+use echofix_core::geo::{TileId, Zone};
+use echofix_core::tile::{Tile, encode};
+use tokio::sync::watch;
+use tower::ServiceExt;
+use uuid::Uuid;
+
+use super::{HttpState, router};
+use crate::feed::{FixEvent, UploadEvent};
+use crate::store::{Error, MapStore, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload};
+
+/// 2024-10-04
+pub const DAY: u16 = 20_000;
+
+/// A tile in the middle of Austin.
+pub fn austin() -> TileId {
+    TileId { zone: Zone::from_epsg(32614).unwrap(), x: 12_127, y: 65_410 }
+}
+
+fn serving(epoch: u64) -> Progress {
+    Progress { state: State::Serving, epoch, journaled: epoch }
+}
+
+/// A map in memory that is only read.
+pub struct FakeStore {
+    tiles: Mutex<BTreeMap<TileId, StoredTile>>,
+    /// Tiles asked for.
+    pub reads: AtomicUsize,
+    progress: watch::Sender<Progress>,
+}
+
+impl Default for FakeStore {
+    fn default() -> Self {
+        Self { tiles: Mutex::default(), reads: AtomicUsize::new(0), progress: watch::Sender::new(serving(1)) }
+    }
+}
+
+impl FakeStore {
+    /// A map of these tiles, each with cells given as (index, passes).
+    pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
+        let store = Self::default();
+        for (id, cells) in tiles {
+            let cell =
+                |passes| Cell { hits: 2 * passes, passes, first_day: DAY, last_day: DAY, offset_sum: [0; 2] };
+            let cells = cells.iter().map(|(index, passes)| (*index, cell(*passes))).collect();
+            store.put(*id, Tile::from_cells(cells).unwrap());
+        }
+        store
+    }
+
+    pub fn put(&self, id: TileId, tile: Tile) {
+        let encoded = Bytes::from(encode(&tile));
+        let stored = StoredTile { version: 1, tile: Arc::new(tile), encoded };
+        self.tiles.lock().unwrap().insert(id, stored);
+    }
+
+    /// A tile changes.
+    pub fn touch(&self, id: TileId) {
+        let epoch = self.progress.borrow().epoch + 1;
+        self.tiles.lock().unwrap().get_mut(&id).unwrap().version = epoch;
+        self.publish_epoch(epoch);
+    }
+
+    /// The map moves on.
+    pub fn publish_epoch(&self, epoch: u64) {
+        self.progress.send_replace(serving(epoch));
+    }
+
+    /// The map is being folded anew.
+    pub fn rebuild(&self) {
+        self.progress.send_modify(|progress| progress.state = State::Rebuilding);
+    }
+
+    fn infos(&self) -> Vec<TileInfo> {
+        let tiles = self.tiles.lock().unwrap();
+        let info = |(id, stored): (&TileId, &StoredTile)| TileInfo {
+            id: *id,
+            version: stored.version,
+            cells: stored.tile.len() as u32,
+            newest_day: stored.tile.newest_day(),
+            bytes: stored.encoded.len() as u32,
+        };
+        tiles.iter().map(info).collect()
+    }
+}
+
+impl MapStore for FakeStore {
+    fn contributor(&self, pseudonym: &str) -> u64 {
+        pseudonym.len() as u64
+    }
+
+    fn commit(&self, _: Upload) -> Result<Receipt, Error> {
+        Err(Error::Stopped("this map is only read".to_owned()))
+    }
+
+    fn counted(&self, _: Uuid) -> Result<Option<Receipt>, Error> {
+        Ok(None)
+    }
+
+    fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
+        self.reads.fetch_add(1, Ordering::Relaxed);
+        Ok(self.tiles.lock().unwrap().get(&id).cloned())
+    }
+
+    fn catalog(
+        &self,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Vec<TileInfo>, Error> {
+        let Progress { state, epoch, journaled } = *self.progress.borrow();
+        if state == State::Rebuilding {
+            return Err(Error::Rebuilding { folded: epoch, journaled });
+        }
+        let inside = |t: &TileInfo| t.id.zone == zone && x.contains(&t.id.x) && y.contains(&t.id.y);
+        Ok(self.infos().into_iter().filter(inside).collect())
+    }
+
+    fn zones(&self) -> Vec<Zone> {
+        let mut zones: Vec<_> = self.infos().iter().map(|t| t.id.zone).collect();
+        zones.dedup();
+        zones
+    }
+
+    fn totals(&self) -> Totals {
+        let infos = self.infos();
+        Totals {
+            tiles: infos.len() as u64,
+            cells: infos.iter().map(|t| u64::from(t.cells)).sum(),
+            bytes: infos.iter().map(|t| u64::from(t.bytes)).sum(),
+            uploads: 3,
+            newest_day: infos.iter().map(|t| t.newest_day).max().unwrap_or(0),
+        }
+    }
+
+    fn progress(&self) -> watch::Receiver<Progress> {
+        self.progress.subscribe()
+    }
+}
+
+/// The routes over a small map.
+pub struct Site {
+    pub store: Arc<FakeStore>,
+    pub state: HttpState,
+    router: Router,
+}
+
+impl Default for Site {
+    fn default() -> Self {
+        Self::with_tiles(&[])
+    }
+}
+
+impl Site {
+    pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
+        let store = Arc::new(FakeStore::with_tiles(tiles));
+        let state = HttpState {
+            store: Arc::clone(&store) as Arc<dyn MapStore>,
+            feed: Arc::default(),
+            metrics: Arc::default(),
+            health: Arc::default(),
+        };
+        Self { store, state: state.clone(), router: router(state) }
+    }
+
+    pub async fn get(&self, path: &str) -> Response {
+        self.send(Method::GET, path, &[]).await
+    }
+
+    pub async fn send(&self, method: Method, path: &str, headers: &[(&str, &str)]) -> Response {
+        let request = Request::builder().method(method).uri(path);
+        let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
+        self.router.clone().oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
+    }
+}
+
+pub async fn bytes_of(response: Response) -> Bytes {
+    to_bytes(response.into_body(), 16 << 20).await.unwrap()
+}
+
+pub async fn json_of(response: Response) -> serde_json::Value {
+    serde_json::from_slice(&bytes_of(response).await).unwrap()
+}
+
+/// The pixels of a PNG, row by row.
+pub async fn pixels_of(response: Response) -> Vec<[u8; 4]> {
+    assert_eq!(
+        (response.status().as_u16(), &response.headers()["content-type"]),
+        (200, &"image/png".parse().unwrap())
+    );
+    let mut reader = png::Decoder::new(Cursor::new(bytes_of(response).await)).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    pixels.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect()
+}
+
+pub fn a_fix() -> FixEvent {
+    FixEvent {
+        answered_us: 1,
+        status: "USABLE",
+        reason: "unique peak".to_owned(),
+        latitude_deg: 30.2672,
+        longitude_deg: -97.7431,
+        yaw_rad: 0.3,
+        prior_latitude_deg: 30.267_21,
+        prior_longitude_deg: -97.743_11,
+        correction_m: 1.25,
+        matched_fraction: 0.7,
+        protection_m: Some(0.8),
+        align_ms: 12.0,
+    }
+}
+
+pub fn an_upload() -> UploadEvent {
+    UploadEvent {
+        answered_us: 1,
+        upload_id: Uuid::nil().to_string(),
+        outcome: "COUNTED".to_owned(),
+        detections_counted: 1000,
+        detections_dropped: 3,
+        tiles: 9,
+        agreement: Some(0.8),
+    }
+}

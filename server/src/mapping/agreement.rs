@@ -1,0 +1,54 @@
+//! How well does a contribution agree with the map that exists?
+
+use echofix_core::agreement::PointIndex;
+use echofix_core::evidence::CellHits;
+use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
+use echofix_core::tile::Tile;
+
+use super::Contributed;
+use crate::store::{Error, MapStore};
+
+/// A detection agrees with the map when it has a mapped point within this distance, metres.
+const RADIUS_M: f64 = 0.5;
+/// Cells of the contribution that are asked about.
+const SAMPLE: usize = 2_000;
+
+/// Share of a contribution's cells that lie on structure the map already has, 0 to 1; `None`
+/// where the map has no tile yet. Cells in new tiles are left out.
+///
+/// # Errors
+/// When a tile cannot be read.
+pub fn agreement(store: &dyn MapStore, contributed: &Contributed) -> Result<Option<f64>, Error> {
+    let (mut map, mut asked) = (Vec::new(), Vec::new());
+    let own = |id: &TileId| contributed.own_zones.contains(&id.zone);
+    for (id, cells) in contributed.contribution.tiles.iter().filter(|(id, _)| own(id)) {
+        if let Some(stored) = store.tile(*id)? {
+            map.extend(mapped(*id, &stored.tile));
+            asked.extend(cells.iter().map(|cell| hit(*id, cell)));
+        }
+    }
+    if asked.is_empty() {
+        return Ok(None);
+    }
+    let sample = asked.iter().copied().step_by(asked.len().div_ceil(SAMPLE));
+    Ok(Some(PointIndex::new(map).matched_fraction(sample, RADIUS_M)))
+}
+
+/// Map metres of a tile's points.
+fn mapped(id: TileId, tile: &Tile) -> impl Iterator<Item = [f64; 2]> + '_ {
+    tile.cells().iter().map(move |(index, cell)| place(id, *index, cell.centroid()))
+}
+
+/// Map metres of the middle of a cell's new hits.
+fn hit(id: TileId, cell: &CellHits) -> [f64; 2] {
+    let hits =
+        echofix_core::evidence::Cell { hits: cell.hits, offset_sum: cell.offset_sum, ..Default::default() };
+    place(id, cell.index, hits.centroid())
+}
+
+fn place(id: TileId, index: u32, within: [f64; 2]) -> [f64; 2] {
+    let side = CELLS_PER_TILE as u32;
+    let [x0, y0] = id.origin();
+    let metres = |cell: u32, within: f64| (f64::from(cell) + within) * CELL_M;
+    [x0 + metres(index % side, within[0]), y0 + metres(index / side, within[1])]
+}

@@ -1,0 +1,69 @@
+//! What an upload must fulfil.
+
+use echofix_core::scan::Gate;
+use serde::{Deserialize, Serialize};
+
+/// The `[mapping]` section of the configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MappingConfig {
+    /// Poses with a larger one-sigma error of the position are not mapped from, metres.
+    pub max_sigma_position_m: f64,
+    /// Poses with a larger one-sigma error of the heading are not mapped from, degrees.
+    pub max_sigma_yaw_deg: f64,
+    /// Scans taken more slowly are left out, metres per second.
+    pub min_speed_mps: f64,
+    /// Farther detections are left out, metres.
+    pub max_range_m: f64,
+    /// Detections whose radial speed differs more from a stationary target's are left out, metres
+    /// per second.
+    pub max_doppler_residual_mps: f64,
+    /// Poses farther apart in time are not interpolated between, seconds.
+    pub max_pose_gap_s: f64,
+    /// Faster motion between two poses is a jump, metres per second.
+    pub max_speed_mps: f64,
+    /// Older uploads are refused, days; 0 takes any age.
+    pub max_age_days: u16,
+    /// Bytes of one upload, at most.
+    pub max_upload_bytes: usize,
+    /// Detections of one upload, at most.
+    pub max_upload_detections: usize,
+    /// Tiles of one upload, at most.
+    pub max_upload_tiles: usize,
+    /// Uploads received at once; further ones are told to come again.
+    pub uploads_at_once: usize,
+    /// Uploads in the journal that may wait to be folded; further ones are told to come again.
+    pub max_unfolded: u64,
+}
+
+impl Default for MappingConfig {
+    fn default() -> Self {
+        Self {
+            max_sigma_position_m: 0.3,
+            max_sigma_yaw_deg: 0.5,
+            min_speed_mps: 1.0,
+            max_range_m: 50.0,
+            max_doppler_residual_mps: 0.5,
+            max_pose_gap_s: 1.0,
+            max_speed_mps: 70.0,
+            max_age_days: 0,
+            max_upload_bytes: 16 << 20,
+            max_upload_detections: 500_000,
+            max_upload_tiles: 4_096,
+            uploads_at_once: 16,
+            max_unfolded: 10_000,
+        }
+    }
+}
+
+impl MappingConfig {
+    /// The gate for single detections.
+    #[must_use]
+    pub fn gate(&self) -> Gate {
+        Gate {
+            min_speed_mps: self.min_speed_mps,
+            max_range_m: self.max_range_m,
+            max_doppler_residual_mps: self.max_doppler_residual_mps,
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Scans and poses become hits by tile and cell.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+use echofix_core::batch::{self, Dropped};
+use echofix_core::drive::GeoPose;
+use echofix_core::evidence::{self, Contribution};
+use echofix_core::geo::{self, Grid, Zone};
+use echofix_core::odometry::{self, Trajectory};
+use echofix_core::scan::{Mount, Scan};
+
+use super::MappingConfig;
+use super::merge::merge;
+use super::stretch::{Stretch, cut};
+
+/// A stretch of a drive as it was uploaded, its columns sound.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Submission {
+    /// The radars.
+    pub mounts: Vec<Mount>,
+    /// Its parts.
+    pub chunks: Vec<Chunk>,
+}
+
+/// A part of an upload: scans, and the poses that cover them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Chunk {
+    /// Poses of the body, oldest first.
+    pub poses: Vec<GeoPose>,
+    /// Scans.
+    pub scans: Vec<Scan>,
+}
+
+/// What an upload comes to.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Contributed {
+    /// What the map learns.
+    pub contribution: Contribution,
+    /// Detections left out.
+    pub dropped: Dropped,
+    /// The zones the poses belong to; neighbours hold the same detections again.
+    pub own_zones: Vec<Zone>,
+}
+
+/// Why an upload cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// No pose is known well enough.
+    #[error("the poses are not known well enough to map from: at most {position_m} m and {yaw_deg} degrees")]
+    PoseTooUncertain {
+        /// Largest one-sigma error of the position that is mapped from, metres.
+        position_m: f64,
+        /// Largest one-sigma error of the heading that is mapped from, degrees.
+        yaw_deg: f64,
+    },
+    /// All scans were taken near standstill.
+    #[error("the scans were taken below {min_speed_mps} m/s, where clutter dominates")]
+    TooSlow {
+        /// The slowest speed mapped from, metres per second.
+        min_speed_mps: f64,
+    },
+    /// Nothing is left to map.
+    #[error("none of {sent} detections is left to map")]
+    NoDetections {
+        /// Detections in the upload.
+        sent: u64,
+    },
+    /// UTM does not reach there.
+    #[error(transparent)]
+    Outside(#[from] geo::Error),
+    /// The way is too long for one upload.
+    #[error("the upload touches {tiles} tiles; split it into parts of at most {most}")]
+    TooManyTiles {
+        /// Tiles touched.
+        tiles: usize,
+        /// Tiles of one upload, at most.
+        most: usize,
+    },
+    /// The upload is older than is taken.
+    #[error("the upload is {age_days} days old; at most {most_days} days are taken")]
+    TooOld {
+        /// Its age.
+        age_days: u16,
+        /// The limit.
+        most_days: u16,
+    },
+    /// A scan names an unknown sensor.
+    #[error(transparent)]
+    Scans(#[from] batch::Error),
+    /// The poses form no trajectory.
+    #[error(transparent)]
+    Poses(#[from] odometry::Error),
+}
+
+/// Places an upload's detections on the map. The scans are put in order of time.
+///
+/// # Errors
+/// When nothing of it counts, or it lies where there is no map.
+pub fn contribute(mut submission: Submission, config: &MappingConfig) -> Result<Contributed, Refusal> {
+    let mut placing = Placing { config, grids: HashMap::new(), result: Contributed::default(), uncertain: 0 };
+    for chunk in &mut submission.chunks {
+        chunk.scans.sort_by_key(|scan| scan.time_us);
+        placing.chunk(&submission.mounts, chunk)?;
+    }
+    let sent = submission.chunks.iter().flat_map(|chunk| &chunk.scans).map(|scan| scan.len() as u64).sum();
+    placing.finish(sent)
+}
+
+struct Placing<'a> {
+    config: &'a MappingConfig,
+    grids: HashMap<Zone, Grid>,
+    result: Contributed,
+    /// Poses that were not known well enough.
+    uncertain: usize,
+}
+
+impl Placing<'_> {
+    fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), Refusal> {
+        let cut = cut(&chunk.poses, self.config)?;
+        self.uncertain += cut.uncertain;
+        let mut scans = &chunk.scans[..];
+        for stretch in &cut.stretches {
+            let [first, .., last] = &stretch.poses[..] else { continue };
+            let (before, rest) = scans.split_at(scans.partition_point(|scan| scan.time_us < first.time_us));
+            let (covered, rest) = rest.split_at(rest.partition_point(|scan| scan.time_us <= last.time_us));
+            self.result.dropped.without_pose += detections(before);
+            self.stretch(stretch, covered, mounts)?;
+            scans = rest;
+        }
+        self.result.dropped.without_pose += detections(scans);
+        Ok(())
+    }
+
+    /// Lays a stretch out in its own zone and in those whose border is near. The same detections
+    /// are counted once.
+    fn stretch(&mut self, stretch: &Stretch, scans: &[Scan], mounts: &[Mount]) -> Result<(), Refusal> {
+        for (rank, zone) in stretch.zones.iter().enumerate() {
+            let grid = match self.grids.entry(*zone) {
+                Entry::Occupied(grid) => grid.into_mut(),
+                Entry::Vacant(place) => place.insert(Grid::new(*zone)?),
+            };
+            let poses =
+                stretch.poses.iter().map(|p| Ok((p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad)?)));
+            let poses = Trajectory::new(poses.collect::<Result<Vec<_>, geo::Error>>()?)?;
+            let scale = grid.scale_factor(stretch.poses[stretch.poses.len() / 2].at)?;
+            let gate = self.config.gate();
+            let (part, dropped) = evidence::contribute(*zone, scans, mounts, &poses, scale, &gate)?;
+            if rank == 0 {
+                self.result.contribution.detections += part.detections;
+                self.drop(dropped);
+                if !self.result.own_zones.contains(zone) {
+                    self.result.own_zones.push(*zone);
+                }
+            }
+            merge(&mut self.result.contribution, part);
+            let (tiles, most) = (self.result.contribution.tiles.len(), self.config.max_upload_tiles);
+            if tiles > most {
+                return Err(Refusal::TooManyTiles { tiles, most });
+            }
+        }
+        Ok(())
+    }
+
+    fn drop(&mut self, dropped: Dropped) {
+        let all = &mut self.result.dropped;
+        all.too_slow += dropped.too_slow;
+        all.too_far += dropped.too_far;
+        all.moving += dropped.moving;
+        all.without_pose += dropped.without_pose;
+    }
+
+    /// Something must count; if nothing does, the main reason is told.
+    fn finish(self, sent: u64) -> Result<Contributed, Refusal> {
+        let Self { config, result, uncertain, .. } = self;
+        if result.contribution.detections > 0 {
+            return Ok(result);
+        }
+        let Dropped { too_slow, too_far, moving, without_pose } = result.dropped;
+        let main = too_slow.max(too_far).max(moving).max(without_pose);
+        Err(if main > 0 && main == without_pose && uncertain > 0 {
+            let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);
+            Refusal::PoseTooUncertain { position_m, yaw_deg }
+        } else if main > 0 && main == too_slow {
+            Refusal::TooSlow { min_speed_mps: config.min_speed_mps }
+        } else {
+            Refusal::NoDetections { sent }
+        })
+    }
+}
+
+fn detections(scans: &[Scan]) -> u64 {
+    scans.iter().map(|scan| scan.len() as u64).sum()
+}
+
+#[cfg(test)]
+#[path = "contribute_tests.rs"]
+mod tests;

@@ -1,0 +1,157 @@
+use echofix_core::evidence::{Cell, CellHits};
+use echofix_core::geo::{CELL_M, LatLon, TileId};
+use proptest::prelude::*;
+
+use super::*;
+
+const AUSTIN: LatLon = LatLon { lat_deg: 30.2672, lon_deg: -97.7431 };
+
+/// North at 10 m/s from `at`, a pose and a scan every 100 ms; each scan sees one point 20 m east.
+fn drive(at: LatLon, rows: i64) -> Submission {
+    let time_us = |i: i64| i * 100_000;
+    let pose = |i: i64| GeoPose {
+        time_us: time_us(i),
+        at: LatLon { lat_deg: at.lat_deg + i as f64 / 111_132.0, ..at },
+        yaw_rad: std::f64::consts::FRAC_PI_2,
+        sigma_position_m: 0.1,
+        sigma_yaw_rad: 0.001,
+    };
+    let scan = |i: i64| Scan {
+        time_us: time_us(i),
+        range_m: vec![20.0],
+        azimuth_rad: vec![-std::f32::consts::FRAC_PI_2],
+        ..Scan::default()
+    };
+    let chunk = Chunk { poses: (0..rows).map(pose).collect(), scans: (0..rows).map(scan).collect() };
+    Submission { mounts: vec![Mount::IDENTITY], chunks: vec![chunk] }
+}
+
+fn contributed(submission: Submission) -> Result<Contributed, Refusal> {
+    contribute(submission, &MappingConfig::default())
+}
+
+/// Map metres of all hits.
+fn places(contributed: &Contributed) -> Vec<[f64; 2]> {
+    let place = |id: &TileId, hit: &CellHits| {
+        let cell = Cell { hits: hit.hits, offset_sum: hit.offset_sum, ..Cell::default() };
+        let ([x, y], [fx, fy]) = (id.origin(), cell.centroid());
+        [x + (f64::from(hit.index % 512) + fx) * CELL_M, y + (f64::from(hit.index / 512) + fy) * CELL_M]
+    };
+    let tiles = contributed.contribution.tiles.iter();
+    tiles.flat_map(|(id, cells)| cells.iter().map(|cell| place(id, cell))).collect()
+}
+
+#[test]
+fn what_is_twenty_metres_east_lands_twenty_metres_east() {
+    let result = contributed(drive(AUSTIN, 21)).unwrap();
+    assert_eq!((result.contribution.detections, result.dropped), (21, Dropped::default()));
+    let grid = Grid::of(AUSTIN).unwrap();
+    let east =
+        LatLon { lon_deg: AUSTIN.lon_deg + 20.0 / (111_320.0 * AUSTIN.lat_deg.to_radians().cos()), ..AUSTIN };
+    let expected = grid.project(east).unwrap();
+    let nearest = places(&result)
+        .into_iter()
+        .map(|p| (p[0] - expected[0]).hypot(p[1] - expected[1]))
+        .fold(9e9, f64::min);
+    // The degree of longitude above is good to a few centimetres here.
+    assert!(nearest < 0.1, "{nearest}");
+}
+
+#[test]
+fn near_a_border_both_zones_hold_the_same_places() {
+    let at = LatLon { lat_deg: 51.0, lon_deg: 5.999 };
+    let result = contributed(drive(at, 21)).unwrap();
+    assert_eq!(result.contribution.detections, 21);
+    assert_eq!(result.own_zones.iter().map(|zone| zone.epsg()).collect::<Vec<_>>(), [32631]);
+    let hits = |epsg| -> u32 {
+        let tiles = result.contribution.tiles.iter().filter(|(id, _)| id.zone.epsg() == epsg);
+        tiles.flat_map(|(_, cells)| cells).map(|cell| cell.hits).sum()
+    };
+    assert_eq!((hits(32631), hits(32632)), (21, 21));
+}
+
+#[test]
+fn what_is_left_out_is_counted_by_its_reason() {
+    let mut submission = drive(AUSTIN, 41);
+    let chunk = &mut submission.chunks[0];
+    chunk.scans[1].range_m[0] = 60.0;
+    chunk.scans[2].radial_speed_mps = vec![7.0];
+    chunk.scans[40].time_us += 1;
+    chunk.poses[10].sigma_yaw_rad = 0.1;
+    for i in 20..30 {
+        chunk.poses[i].at = chunk.poses[20].at;
+    }
+    let result = contributed(submission).unwrap();
+    // The car stands still from 20 to 29, then its positioning jumps on.
+    let expected = Dropped { too_far: 1, moving: 1, without_pose: 2, too_slow: 10 };
+    assert_eq!(result.dropped, expected);
+    assert_eq!(result.contribution.detections + expected.total(), 41);
+}
+
+#[test]
+fn the_main_reason_is_told_when_nothing_counts() {
+    let told = |change: fn(&mut Chunk)| {
+        let mut submission = drive(AUSTIN, 21);
+        change(&mut submission.chunks[0]);
+        contributed(submission).unwrap_err()
+    };
+    assert!(matches!(
+        told(|c| c.poses.iter_mut().for_each(|p| p.sigma_position_m = 0.31)),
+        Refusal::PoseTooUncertain { .. }
+    ));
+    assert!(matches!(told(|c| c.poses.iter_mut().for_each(|p| p.at = AUSTIN)), Refusal::TooSlow { .. }));
+    assert!(matches!(told(|c| c.scans.clear()), Refusal::NoDetections { sent: 0 }));
+    assert!(matches!(told(|c| c.poses.clear()), Refusal::NoDetections { sent: 21 }));
+    assert!(matches!(
+        told(|c| c.poses[0].at.lat_deg = 85.0),
+        Refusal::Outside(geo::Error::OutsideUtm { .. })
+    ));
+    assert!(matches!(told(|c| c.scans[3].sensor = 4), Refusal::Scans(_)));
+}
+
+#[test]
+fn an_upload_over_too_many_tiles_is_refused() {
+    let config = MappingConfig { max_upload_tiles: 3, ..MappingConfig::default() };
+    let refusal = contribute(drive(AUSTIN, 500), &config).unwrap_err();
+    assert!(matches!(refusal, Refusal::TooManyTiles { most: 3, .. }));
+}
+
+proptest! {
+    #[test]
+    fn neither_the_order_of_scans_nor_the_cut_into_chunks_matters(cut in 1..40_usize, turn in 0..41_usize) {
+        let whole = drive(AUSTIN, 41);
+        let expected = contributed(whole.clone()).unwrap();
+        let Chunk { poses, mut scans } = whole.chunks[0].clone();
+        let chunk = |poses: &[GeoPose], scans: &[Scan]| Chunk { poses: poses.to_vec(), scans: scans.to_vec() };
+        // Both chunks cover the cut.
+        let chunks = vec![chunk(&poses[..=cut], &scans[..cut]), chunk(&poses[cut..], &scans[cut..])];
+        prop_assert_eq!(&contributed(Submission { chunks, ..whole.clone() }).unwrap(), &expected);
+        scans.rotate_left(turn);
+        let chunks = vec![chunk(&poses, &scans)];
+        prop_assert_eq!(contributed(Submission { chunks, ..whole.clone() }).unwrap(), expected);
+    }
+}
+
+#[test]
+fn agreement_tells_a_good_upload_from_a_shifted_one() {
+    use crate::mapping::agreement;
+    use crate::store::{EmbeddedStore, MapStore, Options, State, Upload};
+    let dir = tempfile::tempdir().unwrap();
+    let options = Options { data_dir: dir.path().to_owned(), cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
+    let store = EmbeddedStore::open(&options).unwrap();
+    let first = contributed(drive(AUSTIN, 41)).unwrap();
+    assert_eq!(agreement(&store, &first).unwrap(), None, "there is no map yet");
+    let contribution = first.contribution.clone();
+    let pass = evidence::Pass { day: 1, contributor: 1 };
+    let id = uuid::Uuid::nil();
+    store.commit(Upload { id, pass, forget_before: 0, contribution, answer: vec![] }).unwrap();
+    let mut progress = store.progress();
+    let folded = |p: &crate::store::Progress| p.state == State::Serving && p.epoch == 1;
+    while !folded(&progress.borrow_and_update()) {
+        std::thread::yield_now();
+    }
+    assert_eq!(agreement(&store, &first).unwrap(), Some(1.0));
+    let east = LatLon { lon_deg: AUSTIN.lon_deg + 3e-5, ..AUSTIN };
+    let shifted = contributed(drive(east, 41)).unwrap();
+    assert_eq!(agreement(&store, &shifted).unwrap(), Some(0.0), "it lies 3 m beside");
+}

@@ -1,0 +1,143 @@
+//! Which connections are let in, and for how long they may say nothing.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::time::{Sleep, sleep};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::server::Connected;
+
+/// How long accepting rests when the system has no more descriptors.
+const REST: Duration = Duration::from_millis(50);
+
+/// Takes connections off a port, a bounded number at a time.
+pub(super) struct Door {
+    listener: TcpListener,
+    places: Arc<Semaphore>,
+    handshake: Duration,
+}
+
+impl Door {
+    pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration) -> Self {
+        Self { listener, places: Arc::new(Semaphore::new(connections)), handshake }
+    }
+
+    /// The connections from now on, until nobody takes them any more.
+    pub(super) fn open(self) -> ReceiverStream<Connection> {
+        let (sender, receiver) = mpsc::channel(1);
+        tokio::spawn(async move {
+            loop {
+                let connection = tokio::select! {
+                    connection = self.next() => connection,
+                    () = sender.closed() => return,
+                };
+                if sender.send(connection).await.is_err() {
+                    return;
+                }
+            }
+        });
+        ReceiverStream::new(receiver)
+    }
+
+    /// The next connection there is a place for; others are closed at once.
+    async fn next(&self) -> Connection {
+        loop {
+            let stream = match self.listener.accept().await {
+                Ok((stream, _)) => stream,
+                Err(error) => {
+                    tracing::warn!(%error, "a connection could not be accepted");
+                    sleep(REST).await;
+                    continue;
+                }
+            };
+            let Ok(place) = self.places.clone().try_acquire_owned() else {
+                tracing::debug!("closed a connection: too many");
+                continue;
+            };
+            // Small messages go out at once. A socket that refuses the option works without.
+            let _ = stream.set_nodelay(true);
+            let deadline = Box::pin(sleep(self.handshake));
+            return Connection { stream, deadline, awaited: Awaited::default(), _place: place };
+        }
+    }
+}
+
+/// Whether a connection's first request is still awaited.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Awaited(Arc<AtomicBool>);
+
+impl Awaited {
+    /// A request came.
+    pub(super) fn came(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    fn is_over(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// A connection that ends when its first request does not come in time, whatever else it sends.
+pub(super) struct Connection {
+    stream: TcpStream,
+    deadline: Pin<Box<Sleep>>,
+    pub(super) awaited: Awaited,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Connected for Connection {
+    type ConnectInfo = Awaited;
+
+    fn connect_info(&self) -> Awaited {
+        self.awaited.clone()
+    }
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        if !self.awaited.is_over() && self.deadline.as_mut().poll(cx).is_ready() {
+            // A request that came in the same moment is served.
+            if !self.awaited.is_over() {
+                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+            }
+        }
+        Pin::new(&mut self.stream).poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write_vectored(cx, bytes)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+}

@@ -1,0 +1,128 @@
+//! The vehicles' port. tonic leaves most limits open: each is set here.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use echofix_proto::v1::FILE_DESCRIPTOR_SET;
+use echofix_proto::v1::localization_service_server::LocalizationServiceServer;
+use echofix_proto::v1::map_service_server::MapServiceServer;
+use echofix_proto::v1::mapping_service_server::MappingServiceServer;
+use tokio::net::TcpListener;
+use tokio_stream::StreamExt;
+use tonic::codec::CompressionEncoding::{Gzip, Zstd};
+use tonic::server::NamedService;
+use tonic::service::InterceptorLayer;
+use tonic::{Request, Status};
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+
+use super::connections::{Awaited, Door};
+use super::{Error, Shared};
+use crate::config::Limits;
+use crate::grpc::{LocalizationApi, MapApi, MappingApi};
+use crate::health::Readiness;
+use crate::locating::Locator;
+
+/// Bytes of a stream and of a connection that may be under way before they are read.
+const STREAM_WINDOW: u32 = 1 << 20;
+const CONNECTION_WINDOW: u32 = 4 << 20;
+/// A full tile stays far below.
+const MAX_TILE_MESSAGE: usize = 16 << 20;
+
+/// Serves until the end is called and the requests in flight are answered.
+pub(super) async fn serve(
+    listener: TcpListener,
+    shared: Shared,
+    ended: impl Future<Output = ()> + Send,
+) -> Result<(), Error> {
+    let Limits { connections, message_bytes, reads_at_once, .. } = shared.config.limits;
+    let (limits, Shared { store, feed, metrics, .. }) = (&shared.config.limits, &shared);
+
+    let mapping = shared.config.mapping.clone();
+    let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, limits.stall());
+    let mapping = MappingServiceServer::new(mapping)
+        .max_decoding_message_size(message_bytes)
+        .max_encoding_message_size(MAX_TILE_MESSAGE)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd);
+    let locator = Arc::new(Locator::new(store.clone(), shared.config.locating));
+    let localization = LocalizationApi::new(locator, feed.clone(), metrics.clone());
+    let localization = LocalizationServiceServer::new(localization)
+        .max_decoding_message_size(message_bytes)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd);
+    let map = MapServiceServer::new(MapApi::new(store.clone(), reads_at_once, limits.stall()))
+        .max_decoding_message_size(message_bytes)
+        .max_encoding_message_size(MAX_TILE_MESSAGE)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    let follower = tokio::spawn(follow(reporter, shared.clone()));
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+
+    let door = Door::new(listener, connections, limits.handshake());
+    let served = limited(limits)
+        .layer(InterceptorLayer::new(note_request))
+        .add_service(localization)
+        .add_service(mapping)
+        .add_service(map)
+        .add_service(health)
+        .add_service(reflection)
+        .serve_with_incoming_shutdown(door.open().map(io::Result::Ok), ended)
+        .await;
+    follower.abort();
+    Ok(served?)
+}
+
+/// Every limit tonic offers.
+fn limited(limits: &Limits) -> tonic::transport::Server {
+    let requests = limits.streams_per_connection;
+    tonic::transport::Server::builder()
+        .max_concurrent_streams(requests)
+        .concurrency_limit_per_connection(requests as usize)
+        .load_shed(true)
+        .timeout(Duration::from_secs(limits.request_s))
+        .http2_max_header_list_size(limits.header_bytes)
+        .http2_max_pending_accept_reset_streams(Some(limits.resets_per_connection))
+        .http2_max_local_error_reset_streams(Some(limits.resets_per_connection))
+        .http2_keepalive_interval(Some(limits.keepalive()))
+        .http2_keepalive_timeout(Some(limits.keepalive_timeout()))
+        .initial_stream_window_size(STREAM_WINDOW)
+        .initial_connection_window_size(CONNECTION_WINDOW)
+}
+
+/// Notes that a connection's first request came.
+#[expect(clippy::unnecessary_wraps, reason = "the shape of an interceptor")]
+fn note_request(request: Request<()>) -> Result<Request<()>, Status> {
+    if let Some(awaited) = request.extensions().get::<Awaited>() {
+        awaited.came();
+    }
+    Ok(request)
+}
+
+/// What the health service says follows what the service knows.
+async fn follow(reporter: HealthReporter, shared: Shared) {
+    let services = [
+        "",
+        <LocalizationServiceServer<LocalizationApi> as NamedService>::NAME,
+        <MappingServiceServer<MappingApi> as NamedService>::NAME,
+        <MapServiceServer<MapApi> as NamedService>::NAME,
+    ];
+    let mut readiness = shared.health.follow();
+    loop {
+        let status = match *readiness.borrow_and_update() {
+            Readiness::Ready => ServingStatus::Serving,
+            Readiness::NotReady(_) => ServingStatus::NotServing,
+        };
+        for service in services {
+            reporter.set_service_status(service, status).await;
+        }
+        if readiness.changed().await.is_err() {
+            return;
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! The operators' port.
+
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto;
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
+use tokio::net::TcpListener;
+use tokio_stream::StreamExt;
+
+use super::Shared;
+use super::connections::Door;
+use crate::config::Limits;
+use crate::http::{HttpState, router};
+
+/// Serves until the end is called and the requests in flight are answered.
+pub(super) async fn serve(listener: TcpListener, shared: Shared, ended: impl Future<Output = ()> + Send) {
+    let Shared { config, store, feed, metrics, health } = shared;
+    let limits = &config.limits;
+    let builder = builder(limits);
+    let routes = TowerToHyperService::new(router(HttpState { store, feed, metrics, health }));
+    let graceful = GracefulShutdown::new();
+    let mut connections = Door::new(listener, limits.connections, limits.handshake()).open();
+    tokio::pin!(ended);
+    loop {
+        let connection = tokio::select! {
+            connection = connections.next() => connection,
+            () = &mut ended => None,
+        };
+        let Some(connection) = connection else { break };
+        let (awaited, routes) = (connection.awaited.clone(), routes.clone());
+        let service = service_fn(move |request| {
+            awaited.came();
+            routes.call(request)
+        });
+        let served = builder.serve_connection(TokioIo::new(connection), service).into_owned();
+        let served = graceful.watch(served);
+        tokio::spawn(async move {
+            if let Err(error) = served.await {
+                tracing::debug!(error, "an HTTP connection ended early");
+            }
+        });
+    }
+    drop(connections);
+    graceful.shutdown().await;
+}
+
+fn builder(limits: &Limits) -> auto::Builder<TokioExecutor> {
+    let mut builder = auto::Builder::new(TokioExecutor::new());
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(limits.handshake()).max_buf_size(64 << 10);
+    builder
+        .http2()
+        .timer(TokioTimer::new())
+        .max_concurrent_streams(limits.streams_per_connection)
+        .max_header_list_size(limits.header_bytes)
+        .max_pending_accept_reset_streams(limits.resets_per_connection)
+        .max_local_error_reset_streams(limits.resets_per_connection)
+        .keep_alive_interval(limits.keepalive())
+        .keep_alive_timeout(limits.keepalive_timeout());
+    builder
+}

@@ -1,0 +1,212 @@
+//! The service as a whole: two ports over one store, from bind to the last answer.
+//!
+//! - [`connections`]: which connections are let in, and for how long they may say nothing.
+//! - [`grpc`], [`http`]: the two ports.
+//! - [`follow`]: health and metrics follow the store.
+//! - [`signals`]: when to end.
+
+mod connections;
+mod follow;
+mod grpc;
+mod http;
+mod signals;
+
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::config::Config;
+use crate::feed::Feed;
+use crate::health::Health;
+use crate::metrics::Metrics;
+use crate::store::{self, EmbeddedStore, MapStore, Options};
+pub use signals::signalled;
+
+/// Why the service cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A port is not to be had.
+    #[error("cannot listen on {address} for {port}: {source}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// What for.
+        port: &'static str,
+        /// The system's words.
+        source: io::Error,
+    },
+    /// The store does not open.
+    #[error("cannot open the store in {dir}: {source}")]
+    Store {
+        /// The data directory.
+        dir: String,
+        /// Its words.
+        source: store::Error,
+    },
+    /// The file with the addresses cannot be written.
+    #[error("cannot write {path}: {source}")]
+    AddressFile {
+        /// The file.
+        path: String,
+        /// The system's words.
+        source: io::Error,
+    },
+    /// The gRPC port failed.
+    #[error("the gRPC port failed: {0}")]
+    Grpc(#[from] tonic::transport::Error),
+    /// The reflection service cannot be set up.
+    #[error("the reflection service cannot be set up: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// A task of the service ended before its time.
+    #[error("the service ended unexpectedly: {0}")]
+    Task(#[from] tokio::task::JoinError),
+}
+
+/// What both ports answer from.
+#[derive(Clone)]
+struct Shared {
+    config: Arc<Config>,
+    store: Arc<dyn MapStore>,
+    feed: Arc<Feed>,
+    metrics: Arc<Metrics>,
+    health: Arc<Health>,
+}
+
+/// A service that has its ports and its store, and answers once it is run.
+pub struct Server {
+    shared: Shared,
+    grpc: TcpListener,
+    http: TcpListener,
+    grpc_addr: SocketAddr,
+    http_addr: SocketAddr,
+}
+
+/// Where a server listens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Addresses {
+    /// Vehicles.
+    pub grpc: SocketAddr,
+    /// Operators.
+    pub http: SocketAddr,
+}
+
+impl Server {
+    /// Takes the ports and opens the store, which checks all of the journal.
+    ///
+    /// # Errors
+    /// When a port is taken, or the store is damaged or in use.
+    pub async fn bind(config: Config) -> Result<Self, Error> {
+        let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
+        let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
+        let dir = config.store.data_dir.clone();
+        let options = Options {
+            data_dir: dir.clone(),
+            cache_bytes: config.store.cache_mib << 20,
+            segment_bytes: config.store.segment_mib << 20,
+        };
+        let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
+        let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
+        let shared = Shared {
+            config: Arc::new(config),
+            store: Arc::new(store),
+            feed: Arc::default(),
+            metrics: Arc::default(),
+            health: Arc::default(),
+        };
+        Ok(Self { shared, grpc, http, grpc_addr, http_addr })
+    }
+
+    /// Where vehicles connect.
+    #[must_use]
+    pub fn grpc_addr(&self) -> SocketAddr {
+        self.grpc_addr
+    }
+
+    /// Where operators connect.
+    #[must_use]
+    pub fn http_addr(&self) -> SocketAddr {
+        self.http_addr
+    }
+
+    /// Answers until `shutdown`, then until the requests in flight are answered, but no longer
+    /// than configured.
+    ///
+    /// # Errors
+    /// When a port fails.
+    pub async fn run(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), Error> {
+        let Self { shared, grpc, http, .. } = self;
+        let grace = Duration::from_secs(shared.config.limits.shutdown_s);
+        let ending = watch::Sender::new(false);
+        let follower = tokio::spawn(follow::follow(shared.clone()));
+        let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(&ending)));
+        let mut http = tokio::spawn(http::serve(http, shared.clone(), ended(&ending)));
+        tokio::select! {
+            () = shutdown => {}
+            result = &mut grpc => return result?,
+            result = &mut http => return Ok(result?),
+        }
+        tracing::info!("draining");
+        follower.abort();
+        // An aborted task may still be in its last step: it must not call the service ready again.
+        let _ = follower.await;
+        shared.health.not_ready("draining");
+        ending.send_replace(true);
+        let drained = tokio::time::timeout(grace, async { (grpc.await, http.await) }).await;
+        let Ok((grpc, http)) = drained else {
+            tracing::warn!(grace_s = grace.as_secs(), "ending with requests in flight");
+            return Ok(());
+        };
+        grpc??;
+        http?;
+        tracing::info!("drained");
+        Ok(())
+    }
+}
+
+/// Binds and runs a service; tells where it listens in the log and, if asked, as JSON in a file.
+///
+/// # Errors
+/// When it cannot start, or a port fails.
+pub async fn serve(
+    config: Config,
+    address_file: Option<&Path>,
+    shutdown: impl Future<Output = ()> + Send,
+) -> Result<(), Error> {
+    let server = Server::bind(config).await?;
+    let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
+    tracing::info!(grpc = %addresses.grpc, http = %addresses.http, "listening");
+    if let Some(path) = address_file {
+        let failed = |source| Error::AddressFile { path: path.display().to_string(), source };
+        write_whole(path, &addresses).map_err(failed)?;
+    }
+    server.run(shutdown).await
+}
+
+/// Whoever waits for the file sees all of it or nothing.
+fn write_whole(path: &Path, addresses: &Addresses) -> io::Result<()> {
+    let unnamed = path.with_extension("new");
+    std::fs::write(&unnamed, serde_json::to_vec(addresses)?)?;
+    std::fs::rename(unnamed, path)
+}
+
+async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener, SocketAddr), Error> {
+    let failed = |source| Error::Listen { address, port, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    Ok((listener, bound))
+}
+
+/// Resolves when the end is called, or nobody is left to call it.
+fn ended(ending: &watch::Sender<bool>) -> impl Future<Output = ()> + Send + use<> {
+    let mut ending = ending.subscribe();
+    async move {
+        let _ = ending.wait_for(|ending| *ending).await;
+    }
+}

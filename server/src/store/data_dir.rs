@@ -1,0 +1,114 @@
+//! The layout of a data directory.
+//!
+//! ```text
+//! lock      held while a server runs
+//! key       16 random bytes, mode 0600: what contributors' pseudonyms are hashed with
+//! journal/  the source of truth
+//! tiles/    sled; folded from the journal, may be deleted while no server runs
+//! ```
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::hash::Hasher;
+use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use siphasher::sip::SipHasher24;
+
+use super::{Error, io_error};
+
+/// A locked data directory.
+pub(super) struct DataDir {
+    root: PathBuf,
+    key: [u8; 16],
+    /// The lock lives as long as the file is open.
+    _lock: File,
+}
+
+impl DataDir {
+    /// Opens a data directory, creating what is missing.
+    pub(super) fn open(root: &Path) -> Result<Self, Error> {
+        fs::create_dir_all(root.join("journal")).map_err(io_error("creating the data directory"))?;
+        let lock = File::create(root.join("lock")).map_err(io_error("creating the lock file"))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(Error::InUse(root.display().to_string())),
+            Err(TryLockError::Error(error)) => return Err(io_error("locking the data directory")(error)),
+        }
+        let key = key(root).map_err(io_error("reading or creating the key"))?;
+        sync_dir(root).map_err(io_error("syncing the data directory"))?;
+        if let Some(parent) = root.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            sync_dir(parent).map_err(io_error("syncing the data directory's parent"))?;
+        }
+        Ok(Self { root: root.to_owned(), key, _lock: lock })
+    }
+
+    pub(super) fn journal(&self) -> PathBuf {
+        self.root.join("journal")
+    }
+
+    pub(super) fn tiles(&self) -> PathBuf {
+        self.root.join("tiles")
+    }
+
+    /// SipHash-2-4 of a contributor's pseudonym under this directory's key.
+    pub(super) fn contributor(&self, pseudonym: &str) -> u64 {
+        let mut hasher = SipHasher24::new_with_key(&self.key);
+        hasher.write(pseudonym.as_bytes());
+        hasher.finish()
+    }
+}
+
+/// The key, made once. It gets its name only when all of it is on disk.
+fn key(root: &Path) -> io::Result<[u8; 16]> {
+    let path = root.join("key");
+    match fs::read(&path) {
+        Ok(bytes) => {
+            let length = bytes.len();
+            let wrong = || io::Error::other(format!("{} holds {length} bytes, expected 16", path.display()));
+            return bytes.try_into().map_err(|_| wrong());
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let mut key = [0; 16];
+    getrandom::fill(&mut key).map_err(io::Error::other)?;
+    let unnamed = root.join("key.new");
+    let mut file = OpenOptions::new().create(true).write(true).truncate(true).mode(0o600).open(&unnamed)?;
+    file.write_all(&key)?;
+    file.sync_all()?;
+    fs::rename(unnamed, path)?;
+    Ok(key)
+}
+
+fn sync_dir(dir: &Path) -> io::Result<()> {
+    File::open(dir)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_directory_belongs_to_one_server_at_a_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = DataDir::open(dir.path()).unwrap();
+        assert!(matches!(DataDir::open(dir.path()), Err(Error::InUse(_))));
+        drop(first);
+        assert!(DataDir::open(dir.path()).is_ok());
+    }
+
+    #[test]
+    fn the_key_is_private_lasting_and_its_own() {
+        let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let hash = |dir: &Path| DataDir::open(dir).unwrap().contributor("car-7");
+        assert_eq!(hash(one.path()), hash(one.path()));
+        assert_ne!(hash(one.path()), hash(other.path()));
+        let mode = fs::metadata(one.path().join("key")).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        fs::write(one.path().join("key"), "short").unwrap();
+        assert!(DataDir::open(one.path()).is_err(), "a damaged key is not replaced");
+    }
+}

@@ -1,0 +1,224 @@
+//! The journal: append-only, checksummed segment files. What [`Journal::append`] returns for is on
+//! disk.
+//!
+//! - [`segment`]: the bytes of a file.
+//! - [`recover`]: what a file holds after a crash.
+//! - [`medium`]: the file being written, and how it reaches the disk.
+//! - [`writer`]: the thread that groups appends, so that one sync pays for many.
+
+mod medium;
+mod recover;
+mod segment;
+mod writer;
+
+use std::fs::{self, File};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, Sender};
+use std::sync::{Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use uuid::Uuid;
+
+use super::{Error, io_error};
+use medium::Segment;
+use writer::{Append, Writer};
+
+/// Where a record lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Position {
+    /// Number of the segment's first record.
+    segment: u64,
+    /// Byte of the payload.
+    offset: u32,
+    /// Bytes of the payload.
+    pub(super) length: u32,
+}
+
+/// A record that is on disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Written {
+    /// 1 for the journal's first record.
+    pub(super) number: u64,
+    pub(super) at: Position,
+}
+
+/// The open journal. Dropping it finishes what was being written.
+pub(super) struct Journal {
+    dir: PathBuf,
+    sender: Option<Mutex<Sender<Append>>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+/// The journal as it was found on disk.
+pub(super) struct Found {
+    id: Uuid,
+    segment: Segment,
+    next: u64,
+}
+
+impl Found {
+    /// The journal's own name, to tell whether tiles were folded from it.
+    pub(super) fn id(&self) -> Uuid {
+        self.id
+    }
+}
+
+impl Journal {
+    /// Reads and checks every record, oldest first, and cuts a torn write off the newest segment.
+    ///
+    /// # Errors
+    /// When the disk refuses, or a record that had been on disk is damaged or missing.
+    pub(super) fn recover(
+        dir: &Path,
+        mut visit: impl FnMut(Written, &[u8]) -> Result<(), Error>,
+    ) -> Result<Found, Error> {
+        let mut firsts = segments(dir)?;
+        drop_unfinished(dir, &mut firsts)?;
+        let Some(&newest) = firsts.last() else {
+            let id = Uuid::now_v7();
+            return Ok(Found { id, segment: Segment::create(dir, id, 1)?, next: 1 });
+        };
+        let (mut id, mut next, mut length) = (None, 1, 0);
+        for first in firsts {
+            let path = segment::path(dir, first);
+            let bytes = fs::read(&path).map_err(io_error("reading a journal segment"))?;
+            let header = segment::parse_header(&bytes).filter(|(_, named)| *named == first);
+            let (journal, _) = header.ok_or_else(|| damaged(&path, 0, "its header is not sound"))?;
+            if first != next || id.is_some_and(|id| id != journal) {
+                return Err(damaged(&path, 0, "it does not continue the segment before it"));
+            }
+            id = Some(journal);
+            let mut result = Ok(());
+            let sound = recover::walk(&bytes, first, first == newest, |offset, record| {
+                let offset = (offset + segment::RECORD_HEADER) as u32;
+                let at = Position { segment: first, offset, length: record.payload.len() as u32 };
+                if result.is_ok() {
+                    result = visit(Written { number: record.number, at }, record.payload);
+                }
+            })
+            .map_err(|damage| damaged(&path, damage.at, damage.reason))?;
+            result?;
+            if sound.length < bytes.len() {
+                tracing::warn!(segment = %path.display(), bytes = bytes.len() - sound.length, "cut off a torn write");
+            }
+            (next, length) = (sound.next, sound.length);
+        }
+        let id = id.unwrap_or_default();
+        Ok(Found { id, segment: Segment::reopen(dir, id, newest, length as u64)?, next })
+    }
+
+    /// Starts writing. `deliver` is told of every record in order, once it is on disk and before
+    /// its append returns.
+    pub(super) fn start(
+        dir: &Path,
+        found: Found,
+        segment_bytes: u64,
+        deliver: impl FnMut(Uuid, Written) + Send + 'static,
+    ) -> Result<Self, Error> {
+        let (sender, receiver) = mpsc::channel();
+        let writer = Writer::new(found.segment, found.next, segment_bytes, Box::new(deliver));
+        let thread = std::thread::Builder::new().name("journal".to_owned());
+        let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
+        Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
+    }
+
+    /// Writes a record and returns once it is on disk.
+    ///
+    /// # Errors
+    /// When that is not certain.
+    pub(super) fn append(&self, upload: Uuid, payload: Vec<u8>) -> Result<Written, Error> {
+        let (done, outcome) = mpsc::sync_channel(1);
+        let gone = || Error::Stopped("the journal's thread has ended".to_owned());
+        let sender = self.sender.as_ref().ok_or_else(gone)?;
+        let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        sender.send(Append { upload, payload, done }).map_err(|_| gone())?;
+        outcome.recv().map_err(|_| gone())?
+    }
+
+    /// Payloads of records, read with as few opened files as their order allows.
+    pub(super) fn reader(&self) -> Reader<'_> {
+        Reader { dir: &self.dir, open: None }
+    }
+}
+
+impl Drop for Journal {
+    fn drop(&mut self) {
+        self.sender = None;
+        if let Some(writer) = self.writer.take() {
+            // It logged its own end; there is nobody left to tell.
+            let _ = writer.join();
+        }
+    }
+}
+
+/// Reads records.
+pub(super) struct Reader<'a> {
+    dir: &'a Path,
+    open: Option<(u64, File)>,
+}
+
+impl Reader<'_> {
+    /// The payload of a record, checked against its checksum.
+    ///
+    /// # Errors
+    /// When the disk refuses or the record is damaged.
+    pub(super) fn payload(&mut self, at: Position) -> Result<Vec<u8>, Error> {
+        let path = segment::path(self.dir, at.segment);
+        let file = match self.open.take() {
+            Some((segment, file)) if segment == at.segment => file,
+            _ => File::open(&path).map_err(io_error("opening a journal segment"))?,
+        };
+        let mut bytes = vec![0; segment::RECORD_HEADER + at.length as usize];
+        let start = u64::from(at.offset) - segment::RECORD_HEADER as u64;
+        file.read_exact_at(&mut bytes, start).map_err(io_error("reading a journal record"))?;
+        self.open = Some((at.segment, file));
+        if segment::parse_record(&bytes).is_none_or(|record| record.payload.len() != at.length as usize) {
+            return Err(damaged(&path, start as usize, "a record does not match its checksum"));
+        }
+        bytes.drain(..segment::RECORD_HEADER);
+        Ok(bytes)
+    }
+}
+
+/// First numbers of the segments in a directory, in order.
+fn segments(dir: &Path) -> Result<Vec<u64>, Error> {
+    let mut firsts = Vec::new();
+    for entry in fs::read_dir(dir).map_err(io_error("listing the journal"))? {
+        let path = entry.map_err(io_error("listing the journal"))?.path();
+        if let Some(first) = segment::first_of(&path) {
+            firsts.push(first);
+        } else {
+            tracing::warn!(file = %path.display(), "ignoring a stray file in the journal");
+        }
+    }
+    firsts.sort_unstable();
+    Ok(firsts)
+}
+
+/// Removes the newest segment when the crash came before its header was on disk: it never held a
+/// record, because none is written before the header is synced.
+fn drop_unfinished(dir: &Path, firsts: &mut Vec<u64>) -> Result<(), Error> {
+    let Some(&newest) = firsts.last() else { return Ok(()) };
+    let path = segment::path(dir, newest);
+    let bytes = fs::metadata(&path).map_err(io_error("reading a journal segment"))?.len();
+    if bytes > segment::HEADER as u64 {
+        return Ok(());
+    }
+    let header = fs::read(&path).map_err(io_error("reading a journal segment"))?;
+    if segment::parse_header(&header).is_none() {
+        fs::remove_file(&path).map_err(io_error("removing an unfinished journal segment"))?;
+        firsts.pop();
+    }
+    Ok(())
+}
+
+fn damaged(path: &Path, at: usize, reason: &str) -> Error {
+    Error::Damaged {
+        what: format!("journal segment {} at byte {at}", path.display()),
+        reason: reason.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,34 @@
+//! Uploads for tests.
+
+use echofix_core::evidence::{CellHits, Contribution, Pass};
+use echofix_core::geo::{TileId, Zone};
+use proptest::prelude::*;
+use uuid::Uuid;
+
+use super::Upload;
+
+/// Uploads of few contributors to few tiles, so that they meet.
+pub(crate) fn uploads() -> impl Strategy<Value = Upload> {
+    let tile = (0..3_i32, -1..2_i32, any::<bool>()).prop_map(|(x, y, south)| {
+        let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
+        TileId { zone, y, x }
+    });
+    let hits = |(index, hits): (u32, u32)| CellHits { index, hits, offset_sum: [hits * 3, hits * 200] };
+    let cells = prop::collection::btree_map(0..300_u32, 1..4_u32, 1..20)
+        .prop_map(move |cells| cells.into_iter().map(hits).collect::<Vec<_>>());
+    let tiles = prop::collection::btree_map(tile, cells, 1..5);
+    let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
+    (any::<u128>(), pass, tiles, any::<Vec<u8>>()).prop_map(|(id, pass, tiles, answer)| {
+        let detections = tiles.values().flatten().map(|cell: &CellHits| u64::from(cell.hits)).sum();
+        let contribution = Contribution { tiles, detections };
+        Upload { id: Uuid::from_u128(id), pass, forget_before: 0, contribution, answer }
+    })
+}
+
+/// The same uploads in every run.
+pub(crate) fn some_uploads(count: usize) -> Vec<Upload> {
+    use proptest::strategy::ValueTree;
+    use proptest::test_runner::TestRunner;
+    let mut runner = TestRunner::deterministic();
+    (0..count).map(|_| uploads().new_tree(&mut runner).unwrap().current()).collect()
+}

@@ -1,0 +1,266 @@
+//! The store as a whole, against a model that folds in memory.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use echofix_core::tile::{self, Ledger};
+use proptest::prelude::*;
+
+use super::testing::{some_uploads, uploads};
+use super::*;
+
+fn options(dir: &Path) -> Options {
+    Options { data_dir: dir.to_owned(), cache_bytes: 8 << 20, segment_bytes: 4096 }
+}
+
+fn open(dir: &Path) -> EmbeddedStore {
+    EmbeddedStore::open(&options(dir)).unwrap()
+}
+
+fn commit_all(store: &EmbeddedStore, uploads: &[Upload]) {
+    for upload in uploads {
+        store.commit(upload.clone()).unwrap();
+    }
+}
+
+/// Waits until everything in the journal is folded.
+fn settled(store: &EmbeddedStore) {
+    let deadline = Instant::now() + Duration::from_secs(20);
+    let done = |p: Progress| p.state == State::Serving && p.epoch == p.journaled;
+    while !done(*store.progress().borrow()) {
+        assert!(Instant::now() < deadline, "folding does not end");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Versions and bytes of all tiles.
+fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Bytes)> {
+    settled(store);
+    let all = i32::MIN..=i32::MAX;
+    let infos =
+        store.zones().into_iter().flat_map(|zone| store.catalog(zone, all.clone(), all.clone()).unwrap());
+    let tiles = infos.map(|info| {
+        let tile = store.tile(info.id).unwrap().unwrap();
+        assert_eq!((info.version, info.cells as usize), (tile.version, tile.tile.len()));
+        (info.id, (tile.version, tile.encoded))
+    });
+    tiles.collect()
+}
+
+/// What the map must be.
+fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Bytes)> {
+    let mut tiles: BTreeMap<TileId, (u64, Tile, Ledger)> = BTreeMap::new();
+    for (number, upload) in (1..).zip(uploads) {
+        for (id, cells) in &upload.contribution.tiles {
+            let (version, tile, ledger) = tiles.entry(*id).or_default();
+            tile.fold(ledger, upload.pass, cells);
+            *version = number;
+        }
+    }
+    tiles.into_iter().map(|(id, (version, tile, _))| (id, (version, tile::encode(&tile).into()))).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn commits_and_reopens_follow_the_model(
+        steps in prop::collection::vec((uploads(), 0..4_u8), 1..20),
+    ) {
+        let dir = tempfile::tempdir().unwrap();
+        let mut store = open(dir.path());
+        let mut counted: Vec<Upload> = Vec::new();
+        for (upload, then) in steps {
+            let receipt = store.commit(upload.clone()).unwrap();
+            counted.push(upload);
+            prop_assert_eq!(receipt, Receipt::Counted { epoch: counted.len() as u64 });
+            match then {
+                0 => {
+                    drop(store);
+                    store = open(dir.path());
+                }
+                1 => {
+                    let earlier = &counted[counted.len() / 2];
+                    let epoch = counted.len() as u64 / 2 + 1;
+                    let duplicate = Receipt::Duplicate { epoch, answer: earlier.answer.clone() };
+                    prop_assert_eq!(store.commit(earlier.clone()).unwrap(), duplicate.clone());
+                    prop_assert_eq!(store.counted(earlier.id).unwrap(), Some(duplicate));
+                }
+                2 => prop_assert_eq!(map(&store), model(&counted)),
+                _ => {}
+            }
+        }
+        prop_assert_eq!(map(&store), model(&counted));
+        prop_assert_eq!(store.totals().uploads, counted.len() as u64);
+    }
+}
+
+#[test]
+fn deleted_tiles_are_rebuilt_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(60);
+    let store = open(dir.path());
+    commit_all(&store, &uploads);
+    let before = map(&store);
+    drop(store);
+    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    assert_eq!(map(&open(dir.path())), before);
+    assert_eq!(before, model(&uploads));
+}
+
+#[test]
+fn tiles_that_cannot_be_opened_are_put_aside_and_rebuilt() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(20);
+    let store = open(dir.path());
+    commit_all(&store, &uploads);
+    settled(&store);
+    drop(store);
+    for file in ["conf", "db"] {
+        std::fs::write(dir.path().join("tiles").join(file), [0xa5; 9000]).unwrap();
+        assert_eq!(map(&open(dir.path())), model(&uploads), "{file}");
+    }
+}
+
+#[test]
+fn tiles_of_another_journal_are_not_believed() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let uploads = some_uploads(8);
+    for (dir, range) in [(&here, 0..3), (&there, 3..8)] {
+        let store = open(dir.path());
+        commit_all(&store, &uploads[range]);
+        settled(&store);
+    }
+    std::fs::remove_dir_all(here.path().join("tiles")).unwrap();
+    std::fs::rename(there.path().join("tiles"), here.path().join("tiles")).unwrap();
+    assert_eq!(map(&open(here.path())), model(&uploads[..3]));
+}
+
+#[test]
+fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(30);
+    let store = open(dir.path());
+    commit_all(&store, &uploads[..10]);
+    settled(&store);
+    drop(store);
+    let old: Vec<_> = sled_tree(dir.path(), |tree| tree.iter().map(Result::unwrap).collect());
+    let store = open(dir.path());
+    commit_all(&store, &uploads[10..]);
+    settled(&store);
+    drop(store);
+    sled_tree(dir.path(), |tree| {
+        for (i, (key, value)) in old.iter().enumerate() {
+            match i % 3 {
+                0 => drop(tree.insert(key, value).unwrap()),
+                1 => drop(tree.remove(key).unwrap()),
+                _ => drop(tree.insert(key, &value[..value.len() / 2]).unwrap()),
+            }
+        }
+        tree.insert("stray", "value").unwrap();
+    });
+    assert_eq!(map(&open(dir.path())), model(&uploads));
+}
+
+fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
+    let db = sled::open(dir.join("tiles")).unwrap();
+    let tree = db.open_tree("tiles").unwrap();
+    let result = work(&tree);
+    db.flush().unwrap();
+    result
+}
+
+#[test]
+fn acknowledged_uploads_missing_from_the_journal_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = some_uploads(3);
+    commit_all(&store, &uploads);
+    settled(&store);
+    drop(store);
+    let segment = dir.path().join("journal/00000000000000000001.seg");
+    let bytes = std::fs::read(&segment).unwrap();
+    std::fs::write(&segment, &bytes[..bytes.len() - 1]).unwrap();
+    match EmbeddedStore::open(&options(dir.path())) {
+        Err(Error::Damaged { reason, .. }) => assert!(reason.contains("acknowledged"), "{reason}"),
+        _ => panic!("the loss went unnoticed"),
+    }
+    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    assert_eq!(map(&open(dir.path())), model(&uploads[..2]), "the operator may decide to go on");
+}
+
+#[test]
+fn one_id_from_many_threads_at_once_counts_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = some_uploads(8);
+    let counted = std::thread::scope(|scope| {
+        let send = || uploads.iter().map(|upload| store.commit(upload.clone()).unwrap()).collect::<Vec<_>>();
+        let threads: Vec<_> = (0..8).map(|_| scope.spawn(send)).collect();
+        let receipts: Vec<_> = threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect();
+        receipts.into_iter().filter(|receipt| matches!(receipt, Receipt::Counted { .. })).count()
+    });
+    assert_eq!(counted, 8);
+    assert_eq!(map(&store).len(), model(&uploads).len());
+    assert_eq!(store.totals().uploads, 8);
+}
+
+#[test]
+fn the_order_of_uploads_changes_versions_only() {
+    let mut uploads = some_uploads(20);
+    let cells = |uploads: &[Upload]| -> Vec<(TileId, Bytes)> {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path());
+        commit_all(&store, uploads);
+        map(&store).into_iter().map(|(id, (_, bytes))| (id, bytes)).collect()
+    };
+    let forward = cells(&uploads);
+    uploads.reverse();
+    assert_eq!(cells(&uploads), forward);
+}
+
+#[test]
+fn forgetting_is_part_of_the_journal_and_rebuilds_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let mut uploads = some_uploads(30);
+    for (i, upload) in (0_u16..).zip(&mut uploads) {
+        upload.pass.day = 20_000 + i / 5;
+        upload.forget_before = upload.pass.day - 2;
+        store.commit(upload.clone()).unwrap();
+    }
+    let before = map(&store);
+    drop(store);
+    sled_tree(dir.path(), |tree| tree.clear().unwrap());
+    assert_eq!(map(&open(dir.path())), before);
+}
+
+#[test]
+fn nothing_is_answered_from_a_map_that_is_being_rebuilt() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = some_uploads(400);
+    commit_all(&store, &uploads);
+    let whole = map(&store);
+    drop(store);
+    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    let store = open(dir.path());
+    let mut refusals = 0;
+    loop {
+        match store.tile(*whole.keys().next().unwrap()) {
+            Err(Error::Rebuilding { journaled: 400, .. }) => refusals += 1,
+            Ok(Some(tile)) => {
+                assert_eq!(whole[whole.keys().next().unwrap()], (tile.version, tile.encoded));
+                break;
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(refusals > 0);
+}
+
+#[test]
+fn a_data_directory_names_its_uploads_once() {
+    let ids: HashSet<_> = some_uploads(50).into_iter().map(|upload| upload.id).collect();
+    assert_eq!(ids.len(), 50, "the generator must not repeat ids, or the tests above prove less");
+}

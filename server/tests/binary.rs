@@ -1,0 +1,71 @@
+//! The program itself: what it prints, how it ends.
+#![expect(clippy::unwrap_used, reason = "a test fails by it")]
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn program(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_echofix-server"));
+    command.args(arguments).env_remove("ECHOFIX_CONFIG");
+    command
+}
+
+fn output(arguments: &[&str]) -> Output {
+    program(arguments).output().unwrap()
+}
+
+#[test]
+fn the_configuration_in_force_is_printed_and_checked() {
+    let printed = output(&["--print-config", "--set", "mapping.max_range_m=61"]);
+    assert!(printed.status.success());
+    let text = String::from_utf8(printed.stdout).unwrap();
+    assert!(text.contains("max_range_m = 61.0") && text.contains("[limits]"), "{text}");
+    assert!(output(&["--check-config"]).status.success());
+
+    let wrong = output(&["--check-config", "--set", "mapping.max_rnge_m=61"]);
+    assert!(!wrong.status.success());
+    let told = String::from_utf8(wrong.stderr).unwrap();
+    assert!(told.contains("did you mean `mapping.max_range_m`?"), "{told}");
+}
+
+/// The running program; killed when the test fails.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+    }
+}
+
+fn start(dir: &Path) -> (Running, serde_json::Value) {
+    let (data, addresses) = (dir.join("data"), dir.join("addresses.json"));
+    let _ = std::fs::remove_file(&addresses);
+    let arguments = ["--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0"];
+    let mut command = program(&arguments);
+    command.arg("--data-dir").arg(data).arg("--addr-file").arg(&addresses);
+    let child = Running(command.stderr(Stdio::null()).spawn().unwrap());
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while !addresses.exists() {
+        assert!(Instant::now() < deadline, "the server does not start");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    (child, serde_json::from_slice(&std::fs::read(addresses).unwrap()).unwrap())
+}
+
+#[test]
+fn sigterm_ends_it_with_success_and_a_kill_leaves_nothing_behind() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut killed, _) = start(dir.path());
+    killed.0.kill().unwrap();
+    killed.0.wait().unwrap();
+
+    let (mut server, addresses) = start(dir.path());
+    std::net::TcpStream::connect(addresses["grpc"].as_str().unwrap()).unwrap();
+    // A connection that stays silent must not hold the end up.
+    let _silent = std::net::TcpStream::connect(addresses["http"].as_str().unwrap()).unwrap();
+    let began = Instant::now();
+    assert!(Command::new("kill").arg(server.0.id().to_string()).status().unwrap().success());
+    assert!(server.0.wait().unwrap().success());
+    assert!(began.elapsed() < Duration::from_secs(12), "{:?}", began.elapsed());
+}

@@ -1,0 +1,44 @@
+//! One run of the command, and what it said.
+
+use std::ffi::OsStr;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+use crate::binary;
+
+/// What a run of the command came to.
+#[derive(Debug)]
+pub struct Run {
+    /// The exit code; `None` when a signal ended it.
+    pub code: Option<i32>,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+impl Run {
+    /// The JSON of standard output; fails the test when the run failed or said something else.
+    pub fn json(&self) -> Value {
+        assert_eq!(self.code, Some(0), "{self:#?}");
+        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("not JSON ({error}): {self:#?}"))
+    }
+
+    /// The words of standard error; fails the test unless the run ended with exit code 1, silent on
+    /// standard output.
+    pub fn error(&self) -> &str {
+        assert_eq!((self.code, self.stdout.as_str()), (Some(1), ""), "{self:#?}");
+        &self.stderr
+    }
+}
+
+/// Runs `echofix` with arguments to its end.
+pub fn echofix<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Run {
+    let mut command = Command::new(binary::echofix());
+    // What a developer has set must not decide a test.
+    command.env_remove("ECHOFIX_SERVER").env_remove("ECHOFIX_HTTP");
+    let output = command.args(arguments).stdin(Stdio::null()).output().expect("echofix can be run");
+    let text = |bytes| String::from_utf8(bytes).expect("the command writes UTF-8");
+    Run { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }
+}

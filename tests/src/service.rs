@@ -1,0 +1,183 @@
+//! The service as a process: started, killed, started again, ended, its log kept.
+
+use std::fs::{self, File};
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use crate::{binary, http, until_blocking};
+
+/// From the start of the process until it is ready.
+const READY_WITHIN: Duration = Duration::from_secs(30);
+/// From SIGTERM to the end of the process: the configured grace and some.
+const ENDS_WITHIN: Duration = Duration::from_secs(12);
+
+/// A service with a data directory of its own.
+///
+/// Dropping it kills the process and removes the directory; a test that fails prints the log. Kept in
+/// a `static` it is never dropped: then a watchdog does the same once the test process is gone.
+pub struct Service {
+    folder: TempDir,
+    settings: Vec<String>,
+    process: Child,
+    watchdog: Watchdog,
+    /// `http://host:port` for vehicles.
+    pub grpc: String,
+    /// `http://host:port` for operators.
+    pub http: String,
+}
+
+impl Service {
+    /// Starts a service with the default configuration on free ports and waits until it is ready.
+    pub fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    /// The same with some keys set, each as `section.key=value`.
+    pub fn start_with(settings: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let settings = settings.iter().map(|&setting| setting.to_owned()).collect();
+        let process = launch(&folder, &settings);
+        let watchdog = Watchdog::over(&process, &folder);
+        let mut service =
+            Self { folder, settings, process, watchdog, grpc: String::new(), http: String::new() };
+        service.wait_until_ready();
+        service
+    }
+
+    /// Ends the process as a crash would: kill -9.
+    pub fn kill(&mut self) {
+        self.watchdog.dismiss();
+        self.process.kill().expect("the service can be killed");
+        self.process.wait().expect("the service is ours to wait for");
+    }
+
+    /// Starts a killed or ended service again on the same data and waits until it is ready. It
+    /// listens at other ports than before.
+    pub fn start_again(&mut self) {
+        assert!(self.has_ended(), "the service still runs");
+        self.watchdog.dismiss();
+        self.process = launch(&self.folder, &self.settings);
+        self.watchdog = Watchdog::over(&self.process, &self.folder);
+        self.wait_until_ready();
+    }
+
+    /// Asks the process to end (SIGTERM), without waiting.
+    pub fn ask_to_end(&self) {
+        signal(&self.process, "TERM");
+    }
+
+    /// Waits for the end of a process that was asked to end.
+    pub fn ended(&mut self) -> ExitStatus {
+        until_blocking("the service has ended", ENDS_WITHIN, || {
+            self.process.try_wait().expect("the service is ours to wait for")
+        })
+    }
+
+    /// Whether the process has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.process.try_wait().expect("the service is ours to wait for").is_some()
+    }
+
+    /// The data directory.
+    pub fn data_dir(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    /// A folder that goes with the service, for whatever a test has to write.
+    pub fn scratch(&self) -> PathBuf {
+        let scratch = self.folder.path().join("scratch");
+        fs::create_dir_all(&scratch).expect("a folder can be made");
+        scratch
+    }
+
+    /// What it has logged so far, over all its starts.
+    pub fn log(&self) -> String {
+        fs::read_to_string(log_file(&self.folder)).unwrap_or_default()
+    }
+
+    fn wait_until_ready(&mut self) {
+        let bound = until_blocking("the service tells its addresses", READY_WITHIN, || {
+            assert!(!self.has_ended(), "the service did not start:\n{}", self.log());
+            let text = fs::read_to_string(address_file(&self.folder)).ok()?;
+            serde_json::from_str::<serde_json::Value>(&text).ok()
+        });
+        let address =
+            |port: &str| format!("http://{}", bound[port].as_str().expect("an address is a string"));
+        (self.grpc, self.http) = (address("grpc"), address("http"));
+        until_blocking("the service is ready", READY_WITHIN, || {
+            assert!(!self.has_ended(), "the service ended while it started:\n{}", self.log());
+            http::try_get(&format!("{}/readyz", self.http)).filter(|answer| answer.status == 200)
+        });
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.watchdog.dismiss();
+        // It may have ended already.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+        if std::thread::panicking() {
+            eprintln!("--- the service's log ---\n{}--- end of the log ---", self.log());
+        }
+    }
+}
+
+fn launch(folder: &TempDir, settings: &Vec<String>) -> Child {
+    let log = File::options().create(true).append(true).open(log_file(folder)).expect("a log can be written");
+    // The addresses of the last start are not this one's.
+    let _ = fs::remove_file(address_file(folder));
+    let mut command = Command::new(binary::echofix());
+    command.arg("serve").arg("--data-dir").arg(folder.path().join("data"));
+    command.arg("--addr-file").arg(address_file(folder));
+    for setting in ["grpc.listen=127.0.0.1:0", "http.listen=127.0.0.1:0"] {
+        command.args(["--set", setting]);
+    }
+    for setting in settings {
+        command.args(["--set", setting]);
+    }
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).spawn().expect("echofix can be run")
+}
+
+fn address_file(folder: &TempDir) -> PathBuf {
+    folder.path().join("addresses.json")
+}
+
+fn log_file(folder: &TempDir) -> PathBuf {
+    folder.path().join("service.log")
+}
+
+/// Sends a signal to a process that is ours and not yet waited for.
+fn signal(process: &Child, name: &str) {
+    let (mut kill, id) = (Command::new("sh"), process.id().to_string());
+    let sent = kill.args(["-c", "kill -s \"$0\" \"$1\"", name, &id]).status();
+    assert!(sent.expect("sh can be run").success(), "SIG{name} could not be sent");
+}
+
+/// Ends the service and removes its folder when the test process is gone, however it went: then the
+/// pipe it reads from closes.
+struct Watchdog(Child);
+
+impl Watchdog {
+    fn over(process: &Child, folder: &TempDir) -> Self {
+        let mut dog = Command::new("sh");
+        dog.args(["-c", "read -r _; kill -s KILL \"$0\"; rm -rf \"$1\""]).arg(process.id().to_string());
+        dog.arg(folder.path()).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+        Self(dog.spawn().expect("sh can be run"))
+    }
+
+    /// Before the process is waited for, or its number could be another's by the time it is killed.
+    fn dismiss(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.dismiss();
+    }
+}
