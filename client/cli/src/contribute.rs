@@ -1,5 +1,6 @@
 //! A drive goes to the map, through the vehicle's own recorder, spool and uploader.
 
+use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
@@ -14,7 +15,37 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 /// How long the service may take over the last uploads.
-const PATIENCE: Duration = Duration::from_secs(300);
+const PATIENCE: Duration = Duration::from_mins(5);
+
+/// Detections that the vehicle left out, by the reason.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct LeftOut {
+    /// Movers, by their radial speed.
+    pub moving: u64,
+    /// Farther than the maximum range.
+    pub too_far: u64,
+    /// Taken below the minimum speed.
+    pub too_slow: u64,
+    /// Taken from no pose, or from one that is not known well enough.
+    pub without_pose: u64,
+}
+
+impl From<Dropped> for LeftOut {
+    fn from(dropped: Dropped) -> Self {
+        let Dropped { too_slow, too_far, moving, without_pose } = dropped;
+        Self { moving, too_far, too_slow, without_pose }
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { moving, too_far, too_slow, without_pose } = self;
+        write!(
+            f,
+            "{moving} moving, {too_far} too far, {too_slow} taken too slowly, {without_pose} without a good pose"
+        )
+    }
+}
 
 /// What came of a drive's uploads.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -27,23 +58,8 @@ pub struct Contributed {
     pub refused: u64,
     /// Detections recorded.
     pub detections: u64,
-    /// Detections dropped because they were taken too slowly.
-    pub dropped_too_slow: u64,
-    /// Detections dropped because they were too far away.
-    pub dropped_too_far: u64,
-    /// Detections dropped because they moved.
-    pub dropped_moving: u64,
-    /// Detections dropped for want of a good pose.
-    pub dropped_without_pose: u64,
-}
-
-impl Contributed {
-    fn set_dropped(&mut self, dropped: Dropped) {
-        self.dropped_too_slow = dropped.too_slow;
-        self.dropped_too_far = dropped.too_far;
-        self.dropped_moving = dropped.moving;
-        self.dropped_without_pose = dropped.without_pose;
-    }
+    /// Detections left out.
+    pub left_out: LeftOut,
 }
 
 /// Uploads a drive and waits until the service has it.
@@ -58,7 +74,10 @@ pub async fn upload(
     bar: &ProgressBar,
 ) -> anyhow::Result<Contributed> {
     if drive.reference.is_empty() {
-        bail!("the drive of `{}` has no reference poses; a map can only be made from known poses", drive.vehicle);
+        bail!(
+            "the drive of `{}` has no reference poses; a map can only be made from known poses",
+            drive.vehicle
+        );
     }
     let spool = Spool::open(spool, Limits::default()).context("opening the upload spool")?;
     let uploader = Uploader::start(Service::at(server).endpoint()?, spool, Options::default());
@@ -80,7 +99,7 @@ pub async fn upload(
         };
         submitted.extend(upload);
     }
-    done.set_dropped(recorder.dropped());
+    done.left_out = recorder.dropped().into();
     submitted.extend(recorder.finish());
     bar.inc_length(submitted.len() as u64);
     for upload in submitted {
@@ -95,7 +114,11 @@ pub async fn upload(
     if done.uploads == 0 {
         match progress.last_error {
             Some(reason) => bail!("the service refused every upload of `{}`: {reason}", drive.vehicle),
-            None => bail!("nothing of the drive of `{}` can be mapped: see the dropped detections: {done:?}", drive.vehicle),
+            None => bail!(
+                "nothing of the drive of `{}` can be mapped; left out: {}",
+                drive.vehicle,
+                done.left_out
+            ),
         }
     }
     Ok(done)

@@ -45,7 +45,11 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
 /// Says what a written log holds.
 pub fn report(drive: &Drive, out: &Path, json: bool) {
     let detections: usize = drive.scans.iter().map(Scan::len).sum();
-    let seconds = drive.scans.first().zip(drive.scans.last()).map_or(0.0, |(a, b)| (b.time_us - a.time_us) as f64 * 1e-6);
+    let seconds = drive
+        .scans
+        .first()
+        .zip(drive.scans.last())
+        .map_or(0.0, |(a, b)| (b.time_us - a.time_us) as f64 * 1e-6);
     let metres = drive.odometry.travelled_m();
     if json {
         let report = serde_json::json!({

@@ -57,7 +57,8 @@ pub struct Args {
 /// # Errors
 /// When the log cannot be read, the truth is not known, or the service is out of reach.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
-    let mut drive = drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
+    let mut drive =
+        drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
     if let Some(scans) = &args.scans {
         scans.apply(&mut drive);
     }
@@ -93,7 +94,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
 /// # Errors
 /// When the address is not one.
 pub fn localizer(server: &str) -> anyhow::Result<Localizer> {
-    let options = LocalizerOptions { deadline: Duration::from_secs(60), ..LocalizerOptions::default() };
+    let options = LocalizerOptions { deadline: Duration::from_mins(1), ..LocalizerOptions::default() };
     Ok(Localizer::new(Service::at(server).endpoint()?, options))
 }
 
@@ -131,6 +132,7 @@ pub fn print_summary(summary: &Summary) {
         let reasons: Vec<_> = summary.not_asked.iter().map(|(word, n)| format!("{word} {n}")).collect();
         println!("not asked: {}", reasons.join(", "));
     }
+    println!("the vehicle left out: {}", summary.left_out);
     let row = |name: &str, p: Option<Percentiles>, digits: usize| {
         if let Some(Percentiles { p50, p95, p99 }) = p {
             println!("{name:<34} 50 % {p50:8.digits$}   95 % {p95:8.digits$}   99 % {p99:8.digits$}");

@@ -29,6 +29,14 @@ pub struct Args {
     /// Detections farther away are dropped, metres.
     #[arg(long, default_value_t = 50.0)]
     max_range_m: f64,
+    /// Poses with a larger one-sigma error of the position are not mapped from, metres; the service
+    /// has a limit of its own, see `mapping.max_sigma_position_m`.
+    #[arg(long, default_value_t = 0.3)]
+    max_sigma_m: f64,
+    /// Poses with a larger one-sigma error of the heading are not mapped from, degrees; the service
+    /// has a limit of its own, see `mapping.max_sigma_yaw_deg`.
+    #[arg(long, default_value_t = 0.5)]
+    max_sigma_yaw_deg: f64,
 }
 
 /// Runs the subcommand.
@@ -37,7 +45,12 @@ pub struct Args {
 /// When a log cannot be read, has no known poses, or the service does not take its uploads.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
-    let config = RecorderConfig { gate, ..RecorderConfig::default() };
+    let config = RecorderConfig {
+        gate,
+        max_sigma_position_m: args.max_sigma_m,
+        max_sigma_yaw_rad: args.max_sigma_yaw_deg.to_radians(),
+        ..RecorderConfig::default()
+    };
     for path in &args.drives {
         let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
         if let Some(scans) = &args.scans {
@@ -57,12 +70,12 @@ fn report(path: &str, done: &Contributed, json: bool) -> anyhow::Result<()> {
         return Ok(());
     }
     println!("{path}: {} uploads acknowledged with {} detections", done.uploads, done.detections);
-    println!(
-        "  left out: {} moving, {} too far, {} taken too slowly, {} without a good pose",
-        done.dropped_moving, done.dropped_too_far, done.dropped_too_slow, done.dropped_without_pose
-    );
+    println!("  left out: {}", done.left_out);
     if done.duplicates + done.refused > 0 {
-        println!("  {} were known already, {} were refused (see refused/ in the spool)", done.duplicates, done.refused);
+        println!(
+            "  {} were known already, {} were refused (see refused/ in the spool)",
+            done.duplicates, done.refused
+        );
     }
     Ok(())
 }

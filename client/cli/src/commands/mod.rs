@@ -21,7 +21,8 @@ impl FromStr for ScanRange {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected = || format!("`{text}` is not a range of scans; write the first and the last, like 10-18");
+        let expected =
+            || format!("`{text}` is not a range of scans; write the first and the last, like 10-18");
         let (first, last) = text.split_once('-').ok_or_else(expected)?;
         let number = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
         match (number(first), number(last)) {
@@ -45,10 +46,11 @@ impl ScanRange {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echofix_core::scan::Scan;
 
     #[test]
     fn ranges_count_from_one_and_include_both_ends() {
-        let mut drive = Drive { scans: vec![Default::default(); 5], ..Drive::default() };
+        let mut drive = Drive { scans: vec![Scan::default(); 5], ..Drive::default() };
         for (time_us, scan) in (1..).zip(&mut drive.scans) {
             scan.time_us = time_us;
         }
