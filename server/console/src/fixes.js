@@ -91,7 +91,7 @@ export function tileDetails(tile) {
   const most = Math.max(...tile.passes.map(({ cells }) => cells), 1);
   const bars = tile.passes.slice(0, 8).map(({ passes, cells }) => {
     const bar = el('span', { className: 'bar' });
-    bar.style.width = `${(100 * cells) / most}%`;
+    bar.style.width = `${(70 * cells) / most}%`;
     return el('div', {}, el('dt', { textContent: `${passes} ${passes === 1 ? 'pass' : 'passes'}` }), el('dd', {}, bar, `${cells}`));
   });
   const row = (term, value) => el('div', {}, el('dt', { textContent: term }), el('dd', { textContent: value }));
@@ -102,7 +102,7 @@ export function tileDetails(tile) {
       'dl', {},
       row('cells', `${tile.cells.toLocaleString('en')}`),
       row('seen', tile.oldest_date === tile.newest_date ? `${tile.newest_date}` : `${tile.oldest_date} to ${tile.newest_date}`),
-      row('changed in', `epoch ${tile.version}`),
+      row('changed', `epoch ${tile.version}`),
       row('size', `${figure(tile.bytes / 1000)} kB`),
     ),
     el('dl', { className: 'bars' }, ...bars),

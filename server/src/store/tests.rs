@@ -163,10 +163,9 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let db = sled::open(dir.join("tiles")).unwrap();
-    let tree = db.open_tree("tiles").unwrap();
-    let result = work(&tree);
-    db.flush().unwrap();
+    let tiles = tiles::Tiles::open(&dir.join("tiles"), 1 << 20).unwrap();
+    let result = work(&tiles.tree);
+    tiles.db.flush().unwrap();
     result
 }
 

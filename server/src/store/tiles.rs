@@ -7,6 +7,7 @@
 //! ```
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use echofix_core::geo::{TileId, Zone};
@@ -20,11 +21,13 @@ use super::{Error, StoredTile, TileInfo};
 const JOURNAL: &[u8] = b"journal";
 const KEY: usize = 10;
 const HEAD: usize = 22;
+/// How long a dropped instance may take to let go.
+const LOCK_WAIT: Duration = Duration::from_secs(10);
 
 /// The tile store.
 pub(super) struct Tiles {
-    db: sled::Db,
-    tree: sled::Tree,
+    pub(super) db: sled::Db,
+    pub(super) tree: sled::Tree,
 }
 
 /// A tile and what folding needs of it.
@@ -39,7 +42,7 @@ pub(super) struct Folded {
 impl Tiles {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
         let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).mode(sled::Mode::LowSpace);
-        let db = config.open()?;
+        let db = unlocked(&config)?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { db, tree })
     }
@@ -117,6 +120,22 @@ impl Tiles {
     fn value(&self, id: TileId) -> Result<Option<([u8; KEY], IVec)>, Error> {
         let key = key(id);
         Ok(self.tree.get(key)?.map(|value| (key, value)))
+    }
+}
+
+/// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
+/// threads end a little later. No other process has it, see [`super::data_dir`].
+fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
+    let began = Instant::now();
+    loop {
+        match config.open() {
+            Err(sled::Error::Io(error))
+                if error.to_string().contains("could not acquire lock") && began.elapsed() < LOCK_WAIT =>
+            {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            outcome => return outcome,
+        }
     }
 }
 
