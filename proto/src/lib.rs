@@ -3,6 +3,7 @@
 //! The `.proto` files are the reference: every field says its unit, frame and sign there.
 
 /// Version 1 of the contract.
+#[allow(clippy::large_enum_variant, reason = "generated; the variants are the contract's")]
 pub mod v1 {
     tonic::include_proto!("echofix.v1");
 
