@@ -24,7 +24,7 @@ use crate::batch::Batch;
 use crate::evidence::InverseSensorModel;
 use crate::pose::Pose2;
 use raster::Raster;
-use refine::Refined;
+use refine::{Refined, Score};
 use verdict::{Case, Integrity, Verdict};
 
 /// How to search. The defaults are the paper's (Sec. "Test procedure").
@@ -124,6 +124,9 @@ fn heading_steps(prior: &Prior, search: &Search) -> usize {
     (search.sigmas * prior.sigma_yaw_rad / search.yaw_step_rad).ceil() as usize
 }
 
+/// Points that show the way up a peak.
+const CLIMBING_POINTS: usize = 1500;
+
 /// Buffers that one thread reuses from request to request.
 #[derive(Default)]
 pub struct Workspace {
@@ -171,11 +174,15 @@ pub fn align(
 ) -> Alignment {
     let correlation = fast_global_align(map, batch, prior, search, workspace);
     let points = raster::points_in_reach(batch, search);
-    let mut found: Vec<Refined> = peaks::highest(&correlation, search)
-        .into_iter()
-        .map(|peak| refine::climb(map.surface(), map.frame(), &points, prior, peak))
-        .collect();
+    let thinned: Vec<_> = points.iter().step_by(points.len() / CLIMBING_POINTS + 1).copied().collect();
+    let full = Score::new(map.surface(), map.frame(), &points, prior);
+    let thinned = Score::new(map.surface(), map.frame(), &thinned, prior);
+    let peaks = peaks::highest(&correlation, search);
+    let mut found: Vec<Refined> = peaks.iter().map(|peak| peak.climbed(&thinned, &full)).collect();
     found.sort_by(|a, b| b.score.total_cmp(&a.score));
+    if let Some(best) = found.first_mut() {
+        *best = refine::climb(&full, &best.correction, best.at_edge);
+    }
     let batch_cells = workspace.raster.cells();
     let case = Case {
         map,

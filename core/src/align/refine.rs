@@ -87,17 +87,27 @@ impl<'a> Score<'a> {
     }
 }
 
-/// Climbs from a peak to the nearest maximum of the score (Newton steps, held back where the
+impl Peak {
+    /// The peak climbed to the nearest maximum of the score: on a thinned score at first, for the
+    /// way is long and any tenth of the points shows it, then valued on the full one.
+    #[must_use]
+    pub fn climbed(&self, thinned: &Score, full: &Score) -> Refined {
+        let Refined { correction, hessian, .. } = climb(thinned, &self.correction, self.at_edge);
+        let score = full.at([correction.x_m, correction.y_m, correction.yaw_rad]);
+        Refined { correction, score, hessian, at_edge: self.at_edge }
+    }
+}
+
+/// Climbs from a hypothesis to the nearest maximum of the score (Newton steps, held back where the
 /// surface is not convex).
 #[must_use]
-pub fn climb(surface: &Surface, frame: Frame, points: &[[f64; 2]], prior: &Prior, peak: Peak) -> Refined {
-    let score = Score::new(surface, frame, points, prior);
-    let mut at = [peak.correction.x_m, peak.correction.y_m, peak.correction.yaw_rad];
+pub fn climb(score: &Score, from: &Pose2, at_edge: bool) -> Refined {
+    let mut at = [from.x_m, from.y_m, from.yaw_rad];
     let mut here = score.at(at);
     let (mut slope, mut hessian) = score.derivatives(at, here);
     for _ in 0..MAX_STEPS {
         let step = ascent(slope, hessian);
-        let Some((next, value)) = line_search(&score, at, here, step) else { break };
+        let Some((next, value)) = line_search(score, at, here, step) else { break };
         let moved = [0, 1, 2].map(|i: usize| ((next[i] - at[i]) / STENCIL[i]).abs());
         (at, here) = (next, value);
         (slope, hessian) = score.derivatives(at, here);
@@ -105,8 +115,7 @@ pub fn climb(surface: &Surface, frame: Frame, points: &[[f64; 2]], prior: &Prior
             break;
         }
     }
-    let correction = Pose2::new(at[0], at[1], wrap_angle(at[2]));
-    Refined { correction, score: here, hessian, at_edge: peak.at_edge }
+    Refined { correction: Pose2::new(at[0], at[1], wrap_angle(at[2])), score: here, hessian, at_edge }
 }
 
 /// A step uphill: Newton's where the curvature is that of a summit, else along the slope; never
