@@ -8,6 +8,7 @@
 //!    acknowledged it; an id counts once however often it is sent. What the service refuses for
 //!    good is kept in the spool's `refused` folder with the reason.
 
+mod config;
 mod contents;
 mod recorder;
 mod sender;
@@ -15,7 +16,8 @@ pub mod spool;
 mod stretch;
 mod uploader;
 
+pub use config::Config;
 pub use contents::{Damaged, Upload};
-pub use recorder::{Config, Error, Recorder};
+pub use recorder::{Error, Recorder};
 pub use spool::Spool;
 pub use uploader::{FlushError, Options, Progress, Uploader};

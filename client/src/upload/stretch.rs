@@ -6,7 +6,7 @@ use echofix_core::geo::{self, Grid};
 use echofix_core::odometry::{BodyVelocity, Trajectory};
 use echofix_core::scan::{Mount, Scan};
 
-use super::recorder::Config;
+use super::config::Config;
 use crate::gate;
 
 /// Splits poses where one is not known well enough or the gap to the next is too long; stretches of

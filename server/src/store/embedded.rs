@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
@@ -15,7 +15,7 @@ use super::data_dir::DataDir;
 use super::fold::{self, Resumed};
 use super::index::{Claim, Index};
 use super::journal::{Journal, Written};
-use super::tiles::Tiles;
+use super::shared::Shared;
 use super::{
     Error, MapStore, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload, io_error, record,
 };
@@ -36,15 +36,6 @@ pub struct EmbeddedStore {
     shared: Arc<Shared>,
     dir: DataDir,
     folder: Option<JoinHandle<()>>,
-}
-
-/// What the store and its folding thread share.
-pub(super) struct Shared {
-    pub(super) journal: Journal,
-    pub(super) index: Arc<Index>,
-    pub(super) tiles: Tiles,
-    catalog: RwLock<Catalog>,
-    pub(super) progress: watch::Sender<Progress>,
 }
 
 impl EmbeddedStore {
@@ -158,33 +149,5 @@ impl Drop for EmbeddedStore {
             // What it did not fold is folded at the next start.
             let _ = folder.join();
         }
-    }
-}
-
-impl Shared {
-    /// Nothing is answered from a map that does not show all it once showed.
-    fn readable(&self) -> Result<(), Error> {
-        let Progress { state, epoch, journaled } = *self.progress.borrow();
-        match state {
-            State::Rebuilding => Err(Error::Rebuilding { folded: epoch, journaled }),
-            State::Serving | State::Stalled => Ok(()),
-        }
-    }
-
-    pub(super) fn set_state(&self, state: State) {
-        self.progress.send_if_modified(|progress| {
-            let changed = progress.state != state;
-            progress.state = state;
-            changed
-        });
-    }
-
-    fn catalog(&self) -> RwLockReadGuard<'_, Catalog> {
-        // A panic cannot leave the catalog half changed in a way that matters: it only counts.
-        self.catalog.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub(super) fn catalog_mut(&self) -> RwLockWriteGuard<'_, Catalog> {
-        self.catalog.write().unwrap_or_else(PoisonError::into_inner)
     }
 }

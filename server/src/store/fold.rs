@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 use echofix_core::geo::TileId;
 use uuid::Uuid;
 
-use super::embedded::Shared;
 use super::journal::Written;
+use super::shared::Shared;
 use super::tiles::Tiles;
 use super::{Error, State, TileInfo, Upload, io_error, record};
 

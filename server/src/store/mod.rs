@@ -16,6 +16,7 @@ mod fold;
 mod index;
 mod journal;
 mod record;
+mod shared;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
