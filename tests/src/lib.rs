@@ -7,6 +7,7 @@
 //! - [`grpc`]: clients of the vehicles' port, and refusals taken apart.
 //! - [`town`]: a town of two blocks, and drives in it.
 //! - [`mapping`]: a drive goes to the map.
+//! - [`tiles`]: the map as a caller gets it.
 //! - [`asking`]: a drive asks where it is; errors against the truth, percentiles.
 //! - [`world`]: a town that is mapped, and the service that holds its map.
 //!
@@ -22,6 +23,7 @@ pub mod grpc;
 pub mod http;
 pub mod mapping;
 pub mod service;
+pub mod tiles;
 pub mod town;
 pub mod world;
 

@@ -88,7 +88,7 @@ async fn locate(vehicle: &mut Vehicle, localizer: &Localizer) -> Option<Fix> {
 async fn a_vehicle_that_lives_on_its_own_fixes_knows_where_it_is() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
-    let trip = drive(&world.visit(600.0), &localizer, world.seed, false).await;
+    let trip = drive(&world.visit(450.0), &localizer, world.seed, false).await;
     let at = |share| percentile(trip.carried.iter().map(Error::horizontal_m), share);
     let Trip { carried, fixes, without } = &trip;
     eprintln!(
@@ -109,7 +109,7 @@ async fn a_vehicle_that_lives_on_its_own_fixes_knows_where_it_is() {
 async fn gnss_going_on_does_no_harm_to_good_fixes() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
-    let trip = drive(&world.visit(300.0), &localizer, world.seed + 1, true).await;
+    let trip = drive(&world.visit(200.0), &localizer, world.seed + 1, true).await;
     let error_95 = percentile(trip.carried.iter().map(Error::horizontal_m), 0.95);
     assert!(trip.fixes.len() >= 10 && error_95 < 1.0, "{} fixes, 95 % {error_95:.3} m", trip.fixes.len());
 }

@@ -1,0 +1,127 @@
+//! What an alignment costs, step by step: `cargo bench -p echofix-tests`.
+//!
+//! One thread; compare ratios within one run.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, LazyLock};
+
+use divan::{Bencher, black_box};
+use echofix_core::align::fft::{Plans, Workspace as FftWorkspace};
+use echofix_core::align::verdict::Integrity;
+use echofix_core::align::{PreparedMap, Prior, Search, Workspace, align, fast_global_align};
+use echofix_core::batch::Batch;
+use echofix_core::drive::GeoPose;
+use echofix_core::evidence::{Pass, contribute};
+use echofix_core::geo::{Grid, TileId};
+use echofix_core::odometry::Trajectory;
+use echofix_core::scan::Gate;
+use echofix_core::tile::{Ledger, Tile};
+use echofix_core::window::{Frame, Window};
+use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
+
+fn main() {
+    divan::main();
+}
+
+/// A mapped stretch of the town and a 5 s batch on it, three days later.
+struct Scene {
+    tiles: BTreeMap<TileId, Tile>,
+    frame: Frame,
+    batch: Batch,
+    prior: Prior,
+}
+
+static SCENE: LazyLock<Scene> = LazyLock::new(Scene::new);
+
+impl Scene {
+    fn new() -> Self {
+        let city = City::generate(&CityParams::default()).expect("the default town can be made");
+        let grid = Grid::of(city.site().origin()).expect("the default town lies inside UTM");
+        let (scale, gate) = (city.site().scale(), Gate::default());
+        let way = Route::wander(&city, 1, 400.0);
+        let drive = |day: u32, seed: u64| {
+            let params = DriveParams { seed, ..DriveParams::default() };
+            simulate(&city.on_day(day), &way, &params).expect("the default drive can be made")
+        };
+        let mut tiles: BTreeMap<TileId, (Tile, Ledger)> = BTreeMap::new();
+        for contributor in 0..5 {
+            let seen = drive(0, contributor);
+            let poses = on_grid(&grid, &seen.reference);
+            let (contribution, _) = contribute(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
+                .expect("every sensor is mounted");
+            for (id, hits) in &contribution.tiles {
+                let (tile, ledger) = tiles.entry(*id).or_default();
+                tile.fold(ledger, Pass { day: 20_000, contributor }, hits);
+            }
+        }
+        let lost = drive(3, 99);
+        let middle = lost.scans[lost.scans.len() / 2].time_us;
+        let scans: Vec<_> =
+            lost.scans.iter().filter(|s| (middle - 5_000_000..=middle).contains(&s.time_us)).cloned().collect();
+        let batch = Batch::organise(&scans, &lost.mounts, &lost.odometry, middle, &gate)
+            .expect("the odometry covers the drive");
+        let mut pose = on_grid(&grid, &lost.truth).at(middle).expect("the truth covers the drive");
+        (pose.x_m, pose.y_m, pose.yaw_rad) = (pose.x_m + 1.0, pose.y_m - 1.5, pose.yaw_rad + 0.03);
+        let prior = Prior { pose, sigma_position_m: 2.0, sigma_yaw_rad: 3_f64.to_radians(), scale };
+        let frame = Frame::around(grid.zone(), [pose.x_m, pose.y_m], 50.0, 6.0);
+        let tiles = tiles.into_iter().map(|(id, (tile, _))| (id, tile)).collect();
+        Self { tiles, frame, batch, prior }
+    }
+
+    fn window(&self) -> Window {
+        Window::stitch(self.frame, self.frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    }
+
+    fn prepared(&self) -> PreparedMap {
+        PreparedMap::new(self.window(), Arc::new(Plans::new(self.frame.side)), &Search::default())
+    }
+}
+
+fn on_grid(grid: &Grid, poses: &[GeoPose]) -> Trajectory {
+    let placed = poses.iter().map(|p| {
+        (p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad).expect("the town lies inside UTM"))
+    });
+    Trajectory::new(placed).expect("the simulator's poses are in order")
+}
+
+/// The whole answer: search, refinement, verdict.
+#[divan::bench(sample_count = 20)]
+fn whole_fix(bencher: Bencher) {
+    let (map, mut workspace) = (SCENE.prepared(), Workspace::default());
+    let (search, integrity) = (Search::default(), Integrity::default());
+    bencher.bench_local(|| align(&map, &SCENE.batch, &SCENE.prior, &search, &integrity, &mut workspace));
+}
+
+/// The paper's part of it: 19 headings, 121 x 121 shifts each.
+#[divan::bench(sample_count = 20)]
+fn exhaustive_search(bencher: Bencher) {
+    let (map, mut workspace) = (SCENE.prepared(), Workspace::default());
+    let search = Search::default();
+    bencher.bench_local(|| fast_global_align(&map, &SCENE.batch, &SCENE.prior, &search, &mut workspace));
+}
+
+/// What a window costs when it is not in the cache.
+#[divan::bench(sample_count = 20)]
+fn window_prepared(bencher: Bencher) {
+    let plans = Arc::new(Plans::new(SCENE.frame.side));
+    bencher.bench_local(|| PreparedMap::new(SCENE.window(), Arc::clone(&plans), &Search::default()));
+}
+
+/// One heading's correlation by the side of the window: why windows are 1200 cells wide.
+#[divan::bench(args = [1152, 1200, 1250, 1280, 1296, 1440], sample_count = 20)]
+fn one_heading(bencher: Bencher, side: usize) {
+    const LAG: usize = 60;
+    let plans = Plans::new(side);
+    let mut workspace = FftWorkspace::default();
+    let map: Vec<f32> = (0..side * side).map(|i| ((i * 7919) % 97) as f32 / 97.0).collect();
+    let mut batch = vec![0.0; side * side];
+    for i in 0..7000 {
+        let (x, y) = (LAG + (i * 7919) % (side - 2 * LAG), LAG + (i * 104_729) % (side - 2 * LAG));
+        batch[y * side + x] = 0.3;
+    }
+    let spectrum = plans.spectrum(&map, &mut workspace);
+    let mut out = vec![0.0; (2 * LAG + 1).pow(2)];
+    bencher.bench_local(|| {
+        plans.correlate(&spectrum, black_box(&batch), LAG, &mut workspace, &mut out);
+    });
+}

@@ -1,0 +1,68 @@
+//! The map as a caller of `GetTiles` gets it.
+
+use std::collections::BTreeMap;
+
+use echofix_core::geo::{TileId, Zone};
+use echofix_proto::v1;
+use echofix_proto::v1::get_tiles_request::Selection;
+use echofix_proto::v1::get_tiles_response::Part;
+use echofix_proto::v1::map_service_client::MapServiceClient;
+use echofix_proto::v1::{GeodeticBox, GetTilesRequest, TileVersion, TilesSummary};
+use tonic::Status;
+use tonic::transport::Channel;
+
+use crate::grpc;
+use crate::service::Service;
+
+/// Tiles with their version and their bytes.
+pub type Tiles = BTreeMap<TileId, (u64, Vec<u8>)>;
+
+/// Everything, whatever zone it lies in.
+pub const EVERYWHERE: GeodeticBox =
+    GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
+
+/// Asks for tiles; checks that the summary comes last and counts what was sent.
+///
+/// # Errors
+/// The service's refusal.
+pub async fn get(
+    client: &mut MapServiceClient<Channel>,
+    selection: Selection,
+    have: Vec<TileVersion>,
+) -> Result<(Tiles, TilesSummary), Status> {
+    let request = GetTilesRequest { selection: Some(selection), have };
+    let mut parts = client.get_tiles(request).await?.into_inner();
+    let mut tiles = Tiles::new();
+    while let Some(part) = parts.message().await? {
+        match part.part.expect("a part is a tile or the summary") {
+            Part::Tile(tile) => {
+                let version = tile.version.expect("a tile has a version");
+                let id = id(&version.tile.expect("a version names its tile"));
+                let before = tiles.insert(id, (version.version, tile.encoded));
+                assert!(before.is_none(), "tile {id} came twice");
+            }
+            Part::Summary(summary) => {
+                assert_eq!(summary.sent as usize, tiles.len());
+                assert!(parts.message().await?.is_none(), "the summary is the last message");
+                return Ok((tiles, summary));
+            }
+        }
+    }
+    panic!("the answer ended without a summary");
+}
+
+/// The whole map.
+pub async fn all(service: &Service) -> Tiles {
+    let mut client = grpc::reading(service).await;
+    get(&mut client, Selection::Area(EVERYWHERE), Vec::new()).await.expect("the map can be read").0
+}
+
+/// A tile's id out of its message.
+pub fn id(message: &v1::TileId) -> TileId {
+    TileId { zone: Zone::from_epsg(message.epsg).expect("a zone of UTM"), x: message.x, y: message.y }
+}
+
+/// A tile's id as a message.
+pub fn message(id: TileId) -> v1::TileId {
+    v1::TileId { epsg: u32::from(id.zone.epsg()), x: id.x, y: id.y }
+}

@@ -1,0 +1,176 @@
+//! The `echofix` command, as people and scripts use it.
+
+use std::fs;
+use std::path::PathBuf;
+
+use echofix_client::drivelog;
+use echofix_tests::command::echofix;
+use echofix_tests::service::Service;
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A folder and the words of a path in it.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().expect("a folder can be made"))
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().expect("the path is Unicode").to_owned()
+    }
+}
+
+/// A simulated drive of the default town.
+fn simulated(out: &str, day: &str, vehicle: &str, wander_m: &str) -> Value {
+    let seed = if vehicle == "lost" { "12" } else { "11" };
+    echofix([
+        "simulate",
+        out,
+        "--day",
+        day,
+        "--vehicle",
+        vehicle,
+        "--seed",
+        seed,
+        "--wander-m",
+        wander_m,
+        "--json",
+    ])
+    .json()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is not a number"))
+}
+
+/// Catches a log that one subcommand writes and another cannot read, in either format, and figures
+/// that are not those of the service.
+#[test]
+fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
+    let (folder, service) = (Folder::new(), Service::start());
+    let spool = folder.path("spool");
+    // The same way on the same day is driven twice: what one vehicle mapped, the other finds.
+    let (mcap, csv) = (folder.path("mapper.mcap"), folder.path("visit"));
+    let written = simulated(&mcap, "0", "mapper", "500");
+    let visit = simulated(&csv, "0", "found", "500");
+    assert!(
+        number(&written["travelled_m"]) > 450.0 && number(&written["detections"]) > 50_000.0,
+        "{written}"
+    );
+    assert_eq!((&written["vehicle"], &visit["vehicle"]), (&"mapper".into(), &"found".into()));
+    assert!(
+        PathBuf::from(&csv).join("scans.csv").exists() || PathBuf::from(&csv).join("scans.csv.gz").exists()
+    );
+
+    let mapped = echofix(["map", &mcap, "--server", &service.grpc, "--spool", &spool, "--json"]).json();
+    let uploads = number(&mapped["result"]["uploads"]);
+    assert!(uploads >= 5.0 && mapped["result"]["refused"] == 0, "{mapped}");
+    let status = echofix(["status", "--http", &service.http, "--json"]).json();
+    assert_eq!(status["readiness"]["ready"], true);
+    assert_eq!(status["map"]["totals"]["uploads"], mapped["result"]["uploads"]);
+
+    let fixes_csv = folder.path("fixes.csv");
+    let localized = echofix([
+        "localize",
+        &csv,
+        "--server",
+        &service.grpc,
+        "--every-s",
+        "3",
+        "--out",
+        &fixes_csv,
+        "--json",
+    ])
+    .json();
+    let (summary, fixes) = (&localized["summary"], localized["fixes"].as_array().unwrap());
+    assert!(fixes.len() >= 10 && summary["asked"] == fixes.len(), "{summary}");
+    assert!(number(&summary["usable_share"]) > 0.6, "{summary}");
+    assert!(
+        number(&summary["error_m"]["p50"]) < 0.3 && number(&summary["error_m"]["p95"]) < 0.5,
+        "{summary}"
+    );
+    assert_eq!(summary["beyond_protection"], 0, "{summary}");
+    assert_eq!(fs::read_to_string(&fixes_csv).unwrap().lines().count(), fixes.len() + 1);
+
+    // Once more for people: no JSON, the same counts.
+    let text = echofix(["localize", &csv, "--server", &service.grpc, "--every-s", "10"]);
+    assert!(text.code == Some(0) && text.stdout.contains("questions: "), "{text:?}");
+}
+
+/// Catches a format that loses something: both hold the same drive.
+#[test]
+fn mcap_and_csv_hold_the_same_drive() {
+    let folder = Folder::new();
+    let (mcap, csv) = (folder.path("drive.mcap"), folder.path("drive"));
+    simulated(&mcap, "1", "twin", "120");
+    simulated(&csv, "1", "twin", "120");
+    let (one, other) = (drivelog::read(&mcap).unwrap(), drivelog::read(&csv).unwrap());
+    assert!(one == other && one.scans.len() > 500);
+}
+
+/// Catches a range of scans that is not applied.
+#[test]
+fn only_the_scans_asked_for_are_mapped() {
+    let (folder, service) = (Folder::new(), Service::start());
+    let (log, spool) = (folder.path("drive.mcap"), folder.path("spool"));
+    simulated(&log, "0", "mapper", "200");
+    let map = |scans: &str| {
+        let run =
+            echofix(["map", &log, "--server", &service.grpc, "--spool", &spool, "--scans", scans, "--json"]);
+        number(&run.json()["result"]["detections"])
+    };
+    let (part, other_part, both) = (map("500-700"), map("701-900"), map("500-900"));
+    assert!(
+        part > 0.0 && other_part > 0.0 && (part + other_part - both).abs() < 0.5,
+        "{part} {other_part} {both}"
+    );
+}
+
+/// Catches an error that ends with the wrong code, on the wrong stream, or without saying what to do.
+#[test]
+fn errors_say_what_to_do_and_end_with_exit_code_one() {
+    let folder = Folder::new();
+    let (log, spool, notes) = (folder.path("drive.mcap"), folder.path("spool"), folder.path("notes.txt"));
+    simulated(&log, "0", "mapper", "60");
+    fs::write(&notes, "not a drive").unwrap();
+    // Nobody listens at port 1.
+    let nobody = "http://127.0.0.1:1";
+    let empty = folder.path("empty");
+    fs::create_dir(&empty).unwrap();
+    for (arguments, hints) in [
+        (vec!["status", "--http", nobody], vec![nobody, "echofix serve"]),
+        (vec!["localize", &log, "--server", nobody], vec!["out of reach"]),
+        (vec!["localize", &log, "--server", "127.0.0.1"], vec!["http://host:port"]),
+        (vec!["map", &notes, "--server", nobody, "--spool", &spool], vec![&notes]),
+        (vec!["map", &empty, "--server", nobody, "--spool", &spool], vec![&empty, "scans.csv", ".mcap"]),
+        (vec!["localize", "/nowhere/at.all", "--server", nobody], vec!["/nowhere/at.all", "No such file"]),
+        (vec!["import", "radiate", &empty, &log], vec!["missing", "radiate"]),
+        (vec!["serve", "--set", "mapping.max_rnge_m=3"], vec!["max_rnge_m", "mapping.max_range_m"]),
+        (vec!["serve", "--set", "mapping.max_range_m=-3"], vec!["mapping.max_range_m"]),
+    ] {
+        let run = echofix(&arguments);
+        let said = run.error().to_lowercase();
+        for hint in hints {
+            assert!(said.contains(&hint.to_lowercase()), "{arguments:?} does not say `{hint}`: {said}");
+        }
+    }
+}
+
+/// Catches a range or an option that is taken for something else. Arguments that cannot be read end
+/// with code 2, as everywhere.
+#[test]
+fn arguments_that_cannot_be_read_are_told_with_what_is_expected() {
+    for (arguments, hint) in [
+        (vec!["map", "drive.mcap", "--scans", "9-1"], "10-18"),
+        (vec!["map", "drive.mcap", "--scans", "all"], "10-18"),
+        (vec!["map"], "DRIVES"),
+        (vec!["import", "oxford", "a", "b"], "radiate"),
+        (vec!["localise"], "localize"),
+    ] {
+        let run = echofix(&arguments);
+        assert_eq!((run.code, run.stdout.as_str()), (Some(2), ""), "{arguments:?}: {run:?}");
+        assert!(run.stderr.contains(hint), "{arguments:?} does not say `{hint}`: {}", run.stderr);
+    }
+}
