@@ -67,10 +67,11 @@ impl Default for AlertLimits {
 }
 
 impl AlertLimits {
-    /// The horizontal limit the service is told, metres: the larger one, since the vehicle itself
-    /// checks each; 0 without any.
+    /// The horizontal limit the service is told, metres: it compares the joint level, which stays
+    /// within this whenever each level stays within its own limit, and the vehicle itself checks
+    /// each; 0 without any.
     pub(super) fn on_the_wire_m(&self) -> f64 {
-        let horizontal = self.along_m.max(self.cross_m);
+        let horizontal = self.along_m.hypot(self.cross_m);
         if horizontal.is_finite() { horizontal } else { 0.0 }
     }
 }
@@ -136,6 +137,6 @@ mod tests {
     fn the_service_is_told_the_limit_that_leaves_the_choice_to_the_vehicle() {
         assert!(AlertLimits::default().on_the_wire_m().abs() < f64::EPSILON);
         let limits = AlertLimits { along_m: 3.0, cross_m: 1.0, yaw_rad: 0.1 };
-        assert!((limits.on_the_wire_m() - 3.0).abs() < f64::EPSILON);
+        assert!((limits.on_the_wire_m() - 10_f64.sqrt()).abs() < 1e-12);
     }
 }

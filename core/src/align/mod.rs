@@ -34,7 +34,8 @@ pub struct Search {
     pub sigmas: f64,
     /// Step of the heading, radians. The step of the position is a cell, 0.1 m.
     pub yaw_step_rad: f64,
-    /// Detections farther than this from the body, along either axis, are left out, metres.
+    /// Detections farther than this from the body at the reference time are left out, metres: the
+    /// window reaches no farther. At speed that is much of what the oldest scans saw behind.
     pub extent_m: f64,
     /// Peaks that are refined, at most.
     pub peaks: usize,

@@ -162,7 +162,7 @@ impl Case<'_> {
             searched: self.searched(),
             verdict: Verdict::Usable,
         };
-        alignment.verdict = verdict(&alignment, best.at_edge, integrity);
+        alignment.verdict = verdict(&alignment, best.at_edge || self.leaves_search(&best), integrity);
         alignment
     }
 
@@ -173,6 +173,13 @@ impl Case<'_> {
             prior.y_m + correction.y_m,
             wrap_angle(prior.yaw_rad + correction.yaw_rad),
         )
+    }
+
+    /// True when the climb ended on the edge of what was searched, or beyond.
+    fn leaves_search(&self, best: &Refined) -> bool {
+        let ((half_m, half_yaw_rad), correction) = (self.searched(), best.correction);
+        let shift = correction.x_m.abs().max(correction.y_m.abs());
+        shift > half_m - crate::geo::CELL_M || correction.yaw_rad.abs() > half_yaw_rad
     }
 
     fn searched(&self) -> (f64, f64) {
@@ -202,7 +209,9 @@ impl Case<'_> {
         for other in self.found.iter().skip(1) {
             let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.search.separation_m;
             if distinct(&best.correction) && others.iter().all(|(pose, _)| distinct(pose)) {
-                let relative = (other.score - background) / (best.score - background).max(f64::MIN_POSITIVE);
+                // An answer that is no better than a random shift is rivalled by everything.
+                let above = best.score - background;
+                let relative = if above > 0.0 { (other.score - background) / above } else { 1.0 };
                 others.push((other.correction, relative.clamp(0.0, 1.0)));
             }
         }

@@ -4,7 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::evidence::Pass;
 
+/// Days a pass stays open, counted back from the newest one.
+const OPEN_DAYS: u16 = 30;
+/// Votes one tile's ledger holds, at most: some megabytes.
+const MAX_VOTES: usize = 500_000;
+
 /// The cells each recent pass has voted for in one tile.
+///
+/// It is bounded: passes older than a month, and the oldest ones beyond half a million votes, are
+/// closed. Should one of them vote again, it counts as another pass.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ledger {
     votes: BTreeMap<Pass, BTreeSet<u32>>,
@@ -14,7 +22,22 @@ impl Ledger {
     /// Records a pass's votes and says for each cell, in order, whether it is that pass's first.
     pub(super) fn vote(&mut self, pass: Pass, cells: impl Iterator<Item = u32>) -> Vec<bool> {
         let voted = self.votes.entry(pass).or_default();
-        cells.map(|cell| voted.insert(cell)).collect()
+        let first_votes = cells.map(|cell| voted.insert(cell)).collect();
+        self.close_oldest(MAX_VOTES);
+        first_votes
+    }
+
+    /// Depends on the votes alone, so that folding again from nothing gives the same ledger.
+    fn close_oldest(&mut self, max_votes: usize) {
+        if let Some((newest, _)) = self.votes.last_key_value() {
+            self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
+        }
+        let mut votes: usize = self.votes.values().map(BTreeSet::len).sum();
+        while votes > max_votes
+            && let Some((_, closed)) = self.votes.pop_first()
+        {
+            votes -= closed.len();
+        }
     }
 
     /// Forgets passes of days before `day`: their uploads are no longer accepted, so they cannot
@@ -44,6 +67,18 @@ impl FromIterator<(Pass, BTreeSet<u32>)> for Ledger {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_ledger_is_bounded_in_days_and_votes() {
+        let mut ledger = Ledger::default();
+        for day in 0..100 {
+            ledger.vote(Pass { day, contributor: 1 }, 0..10);
+        }
+        assert_eq!(ledger.iter().count(), usize::from(OPEN_DAYS) + 1);
+        ledger.close_oldest(25);
+        let left: Vec<_> = ledger.iter().map(|(pass, _)| pass.day).collect();
+        assert_eq!(left, [98, 99]);
+    }
 
     #[test]
     fn old_passes_are_forgotten_and_the_rest_kept() {

@@ -17,9 +17,9 @@ use tonic_types::pb;
 
 use super::status;
 use super::violation::{Violation, require, required};
-use super::{decode, now_us};
+use super::{blocking, decode, now_us};
 use crate::feed::{Feed, FixEvent};
-use crate::locating::{Answer, Locator, Question, verdict_word};
+use crate::locating::{Admitted, Answer, Locator, Question, Refusal, verdict_word};
 use crate::metrics::{Metrics, Outcome};
 use encode::{BatchFacts, milliseconds, reason, refused, response};
 
@@ -84,24 +84,29 @@ fn as_message(status: &Status) -> pb::Status {
 }
 
 impl Inner {
-    async fn answer(&self, request: LocalizeRequest) -> Result<LocalizeResponse, Status> {
+    async fn answer(self: &Arc<Self>, request: LocalizeRequest) -> Result<LocalizeResponse, Status> {
+        let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
+        let inner = Arc::clone(self);
+        blocking(move || inner.work(request, admitted)).await?
+    }
+
+    /// Decodes, answers, encodes and tells; computes for a while.
+    fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
         let asked = self.question(request).map_err(|violation| {
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
         })?;
         let (at, reference_time_us) = (asked.question.at, asked.reference_time_us);
         let batch = BatchFacts::of(&asked.question.batch);
-        match self.locator.locate(asked.question).await {
-            Ok(answer) => {
-                let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
-                self.tell(&answer, &response, at.lat_deg, at.lon_deg);
-                Ok(response)
-            }
-            Err(refusal) => {
-                self.count(reason(&refusal));
-                Err(refused(&refusal))
-            }
-        }
+        let answer = self.locator.locate(&asked.question, admitted).map_err(|r| self.refuse(&r))?;
+        let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
+        self.tell(&answer, &response, at.lat_deg, at.lon_deg);
+        Ok(response)
+    }
+
+    fn refuse(&self, refusal: &Refusal) -> Status {
+        self.count(reason(refusal));
+        refused(refusal)
     }
 
     fn question(&self, request: LocalizeRequest) -> Result<Asked, Violation> {

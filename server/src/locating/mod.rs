@@ -16,7 +16,7 @@ use echofix_core::window::Frame;
 
 use crate::store::{self, MapStore};
 use cache::WindowCache;
-use slots::Slots;
+use slots::{Slot, Slots};
 
 /// A batch, what the vehicle believes, and what it needs.
 #[derive(Debug, Clone)]
@@ -154,9 +154,15 @@ pub enum Refusal {
     /// The map cannot be read.
     #[error("the map cannot be read: {0}")]
     Store(Arc<store::Error>),
-    /// The computation itself broke down.
-    #[error("the alignment broke down: {0}")]
-    Broken(String),
+    /// The service is ending.
+    #[error("the service is ending; ask another one")]
+    Ending,
+}
+
+/// A compute slot, given back when dropped.
+pub struct Admitted {
+    slot: Slot,
+    queued: Duration,
 }
 
 /// Answers questions from the map, on a bounded number of threads.
@@ -181,21 +187,24 @@ impl Locator {
         &self.config
     }
 
-    /// Answers one question; waits for a compute slot if need be.
+    /// Waits for a compute slot, in order of arrival. Take it before a request is decoded: that
+    /// work is bounded by the slots, too.
+    ///
+    /// # Errors
+    /// When too many wait already.
+    pub async fn admit(&self) -> Result<Admitted, Refusal> {
+        let waiting = Instant::now();
+        let slot = self.slots.take().await?;
+        Ok(Admitted { slot, queued: waiting.elapsed() })
+    }
+
+    /// Answers one question. Computes for a while: keep it off the async threads.
     ///
     /// # Errors
     /// What cannot be answered is refused with the reason.
-    pub async fn locate(self: &Arc<Self>, question: Question) -> Result<Answer, Refusal> {
-        self.check(&question)?;
-        let waiting = Instant::now();
-        let slot = self.slots.take().await?;
-        let queued = waiting.elapsed();
-        let locator = Arc::clone(self);
-        let work = move || {
-            let mut slot = slot;
-            locator.answer(&question, slot.workspace(), queued)
-        };
-        tokio::task::spawn_blocking(work).await.unwrap_or_else(|e| Err(Refusal::Broken(e.to_string())))
+    pub fn locate(&self, question: &Question, mut admitted: Admitted) -> Result<Answer, Refusal> {
+        self.check(question)?;
+        self.answer(question, admitted.slot.workspace(), admitted.queued)
     }
 
     /// What needs no map to be refused.

@@ -45,7 +45,7 @@ impl Slots {
         let overloaded = |_| Refusal::Overloaded { waiting: self.places, retry_after: RETRY_AFTER };
         let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(overloaded)?;
         let running = Arc::clone(&self.running).acquire_owned().await;
-        let running = running.map_err(|e| Refusal::Broken(e.to_string()))?;
+        let running = running.map_err(|_| Refusal::Ending)?;
         let workspace = lock(&self.workspaces).pop().unwrap_or_default();
         let home = Arc::clone(&self.workspaces);
         Ok(Slot { workspace: Some(workspace), home, _admitted: admitted, _running: running })

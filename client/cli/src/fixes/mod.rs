@@ -93,7 +93,7 @@ pub async fn ask(
             answer.context("the service is out of reach")?;
             continue;
         }
-        fixes.insert(index, record::record(&question, &true_pose, answer, round_trip_ms));
+        fixes.insert(index, record::record(&question, &truth, &true_pose, answer, round_trip_ms));
         bar.inc(1);
     }
     Ok(Replay { fixes: fixes.into_values().collect(), not_asked, left_out })

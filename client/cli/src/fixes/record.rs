@@ -3,10 +3,11 @@
 use echofix_client::refusal::CallError;
 use echofix_client::vehicle::Question;
 use echofix_core::drive::GeoPose;
-use echofix_core::pose::wrap_angle;
-use echofix_proto::v1::{FixStatus, GeodeticPose, LocalizeResponse};
+use echofix_proto::v1::{FixStatus, LocalizeResponse};
 use prost::Message;
 use serde::Serialize;
+
+use super::truth::Truth;
 
 /// One question and what came of it.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -57,6 +58,7 @@ impl Fix {
 /// The record of an answer or a refusal.
 pub(super) fn record(
     question: &Question,
+    truth: &Truth,
     true_pose: &GeoPose,
     answer: Result<LocalizeResponse, CallError>,
     round_trip_ms: f64,
@@ -64,7 +66,7 @@ pub(super) fn record(
     let request_bytes = question.request.encoded_len();
     let mut fix = Fix { time_us: question.time_us(), round_trip_ms, request_bytes, ..Fix::default() };
     match answer {
-        Ok(answer) => fill(&mut fix, &answer, true_pose),
+        Ok(answer) => fill(&mut fix, &answer, truth, true_pose),
         Err(CallError::Refused { reason, message }) => {
             (fix.outcome, fix.detail) = (reason.reason().to_owned(), message);
         }
@@ -77,14 +79,15 @@ pub(super) fn record(
     fix
 }
 
-fn fill(fix: &mut Fix, answer: &LocalizeResponse, true_pose: &GeoPose) {
+fn fill(fix: &mut Fix, answer: &LocalizeResponse, truth: &Truth, true_pose: &GeoPose) {
     let status = answer.status();
     let name = status.as_str_name();
     name.strip_prefix("FIX_STATUS_").unwrap_or(name).clone_into(&mut fix.outcome);
     fix.detail.clone_from(&answer.status_reason);
     fix.usable = status == FixStatus::Usable;
-    if let Some(pose) = &answer.pose {
-        let [along, cross, yaw] = error(pose, true_pose);
+    if let Some(pose) = &answer.pose
+        && let Ok([along, cross, yaw]) = truth.error(pose, true_pose)
+    {
         (fix.latitude_deg, fix.longitude_deg) = (Some(pose.latitude_deg), Some(pose.longitude_deg));
         fix.yaw_rad = Some(pose.yaw_rad);
         (fix.error_along_m, fix.error_cross_m) = (Some(along), Some(cross));
@@ -97,36 +100,5 @@ fn fill(fix: &mut Fix, answer: &LocalizeResponse, true_pose: &GeoPose) {
         fix.matched_fraction = Some(diagnostics.matched_fraction);
         fix.detections_used = Some(diagnostics.detections_used);
         fix.server_ms = Some(diagnostics.window_ms + diagnostics.align_ms);
-    }
-}
-
-/// Error along and across the true heading, metres, and of the heading, radians. Over a few metres
-/// the globe is a plane.
-fn error(pose: &GeodeticPose, truth: &GeoPose) -> [f64; 3] {
-    const METRES_PER_DEGREE: f64 = 111_320.0;
-    let shrink = truth.at.lat_deg.to_radians().cos();
-    let east = (pose.longitude_deg - truth.at.lon_deg) * METRES_PER_DEGREE * shrink;
-    let north = (pose.latitude_deg - truth.at.lat_deg) * METRES_PER_DEGREE;
-    let (s, c) = truth.yaw_rad.sin_cos();
-    [c * east + s * north, c * north - s * east, wrap_angle(pose.yaw_rad - truth.yaw_rad)]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use echofix_core::geo::LatLon;
-
-    #[test]
-    fn errors_are_split_along_and_across_the_heading() {
-        let at = LatLon { lat_deg: 60.0, lon_deg: 10.0 };
-        let truth = GeoPose { at, yaw_rad: std::f64::consts::FRAC_PI_2, ..GeoPose::default() };
-        // One metre north of a vehicle heading north, half a metre east.
-        let pose = GeodeticPose {
-            latitude_deg: 60.0 + 1.0 / 111_320.0,
-            longitude_deg: 10.0 + 0.5 / 55_660.0,
-            yaw_rad: truth.yaw_rad + 0.01,
-        };
-        let [along, cross, yaw] = error(&pose, &truth);
-        assert!((along - 1.0).abs() < 1e-6 && (cross + 0.5).abs() < 1e-6 && (yaw - 0.01).abs() < 1e-12);
     }
 }

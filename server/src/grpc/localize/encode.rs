@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use echofix_core::align::verdict::Verdict;
+use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::batch::Batch;
 use echofix_core::pose::Pose2;
 use echofix_proto::v1::{
@@ -43,6 +43,8 @@ pub(super) fn response(
     let (status, status_reason) = judged(answer, alert_limit_m);
     let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = alignment.covariance;
     let pose = alignment.pose;
+    // Where nothing holds the pose in some direction, no number bounds its error.
+    let held = [xx, xy, xt, yy, yt, tt].iter().all(|v| v.is_finite());
     let alternative = |(correction, relative_score): &(Pose2, f64)| Alternative {
         correction: Some(relative(correction)),
         relative_score: *relative_score,
@@ -63,14 +65,8 @@ pub(super) fn response(
             yaw_rad: pose.yaw_rad,
         }),
         correction: Some(relative(&alignment.correction)),
-        covariance: vec![xx, xy, xt, yy, yt, tt],
-        protection: Some(ProtectionLevel {
-            along_m: answer.protection.along_m,
-            cross_m: answer.protection.cross_m,
-            yaw_rad: answer.protection.yaw_rad,
-            integrity_risk: answer.integrity_risk,
-            valid: alignment.verdict == Verdict::Usable,
-        }),
+        covariance: if held { vec![xx, xy, xt, yy, yt, tt] } else { Vec::new() },
+        protection: held.then(|| protection(answer)),
         alternatives: alignment.alternatives.iter().map(alternative).collect(),
         diagnostics: Some(diagnostics(answer, batch)),
         map: Some(MapState {
@@ -82,6 +78,18 @@ pub(super) fn response(
         }),
         algorithm: ALGORITHM.to_owned(),
         calibration: CALIBRATION.to_owned(),
+    }
+}
+
+fn protection(answer: &Answer) -> ProtectionLevel {
+    let Protection { along_m, cross_m, yaw_rad } = answer.protection;
+    let finite = [along_m, cross_m, yaw_rad].iter().all(|level| level.is_finite());
+    ProtectionLevel {
+        along_m,
+        cross_m,
+        yaw_rad,
+        integrity_risk: answer.integrity_risk,
+        valid: finite && answer.alignment.verdict == Verdict::Usable,
     }
 }
 
@@ -106,8 +114,10 @@ fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
 /// The status and, in words, what it rests on.
 fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
     let horizontal_m = answer.protection.horizontal_m();
+    // A level that is no number is within no limit.
+    let within_limit = horizontal_m <= alert_limit_m;
     match answer.alignment.verdict {
-        Verdict::Usable if alert_limit_m > 0.0 && horizontal_m > alert_limit_m => {
+        Verdict::Usable if alert_limit_m > 0.0 && !within_limit => {
             let text = format!(
                 "the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m"
             );
@@ -123,6 +133,10 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
         Verdict::Ambiguous { relative_score } => {
             (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", relative_score * 100.0))
         }
+        Verdict::TooLittleStructure { batch_cells, sigma_m } if !sigma_m.is_finite() => (
+            FixStatus::TooLittleStructure,
+            format!("nothing in the batch's {batch_cells} occupied cells holds the pose in some direction"),
+        ),
         Verdict::TooLittleStructure { batch_cells, sigma_m } => (
             FixStatus::TooLittleStructure,
             format!("{batch_cells} occupied cells hold the pose to {sigma_m:.2} m (one sigma) only"),
@@ -152,7 +166,7 @@ pub(super) fn reason(refusal: &Refusal) -> &'static str {
         Refusal::Place(_) => "OUTSIDE_UTM",
         Refusal::Overloaded { .. } => "OVERLOADED",
         Refusal::Store(_) => "MAP_UNREADABLE",
-        Refusal::Broken(_) => "INTERNAL",
+        Refusal::Ending => "ENDING",
     }
 }
 
@@ -160,7 +174,7 @@ pub(super) fn refused(refusal: &Refusal) -> Status {
     match refusal {
         Refusal::Overloaded { retry_after, .. } => status::overloaded(refusal, *retry_after),
         Refusal::Store(error) => status::store(error),
-        Refusal::Broken(_) => Status::internal(refusal.to_string()),
+        Refusal::Ending => status::unavailable(refusal, Duration::from_secs(1)),
         _ => status::refused(reason(refusal), refusal, &[]),
     }
 }
