@@ -140,6 +140,17 @@ impl Window {
         self.present.len()
     }
 
+    /// Passes over the cell of a typical hit, 1 without hits: how many surveys the map here amounts to.
+    #[must_use]
+    pub fn typical_passes(&self) -> f64 {
+        let (mut hits, mut weighted) = (0.0, 0.0);
+        for WindowCell { cell, .. } in &self.cells {
+            hits += f64::from(cell.hits);
+            weighted += f64::from(cell.hits) * f64::from(cell.passes);
+        }
+        if hits > 0.0 { weighted / hits } else { 1.0 }
+    }
+
     /// Share of points, map metres, that lie in a tile that exists; 0 without points.
     #[must_use]
     pub fn coverage(&self, points: impl IntoIterator<Item = [f64; 2]>) -> f64 {

@@ -41,7 +41,7 @@ impl Surface {
                 }
             }
         }
-        let knee = (KNEE_PER_PASS * typical_passes(window)) as f32;
+        let knee = (KNEE_PER_PASS * window.typical_passes()) as f32;
         for value in values.iter_mut().filter(|v| **v > 0.0) {
             *value = (1.0 + *value / knee).ln();
         }
@@ -70,16 +70,6 @@ impl Surface {
     pub fn bytes(&self) -> usize {
         self.values.len() * size_of::<f32>()
     }
-}
-
-/// Passes over the cell of a typical hit; 1 without hits.
-fn typical_passes(window: &Window) -> f64 {
-    let (mut hits, mut weighted) = (0.0, 0.0);
-    for cell in &window.cells {
-        hits += f64::from(cell.cell.hits);
-        weighted += f64::from(cell.cell.hits) * f64::from(cell.cell.passes);
-    }
-    if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 
 /// Gaussian kernels along one axis, one for each phase of the centre within its cell.

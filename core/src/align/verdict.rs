@@ -26,9 +26,10 @@ pub struct Integrity {
     pub max_sigma_m: f64,
     /// Independent returns count for this many detections of a batch.
     pub temperature: f64,
-    /// Error of the map's own georeference: one sigma along each axis, metres.
-    pub floor_m: f64,
-    /// The same for the heading, radians.
+    /// Error of the poses that one pass was mapped from: one sigma along each axis, metres. The
+    /// passes of a crowd average it out.
+    pub map_pose_m: f64,
+    /// Error of the map's heading: one sigma, radians.
     pub floor_yaw_rad: f64,
     /// Scale error of the odometry that organised the batch: one sigma, metres a metre. Half of
     /// what it adds up to over the batch shows along the heading.
@@ -49,7 +50,7 @@ impl Default for Integrity {
             max_alternative: 0.75,
             max_sigma_m: 0.5,
             temperature: 60.0,
-            floor_m: 0.06,
+            map_pose_m: 0.13,
             floor_yaw_rad: 0.001,
             odometry_scale: 0.005,
             odometry_yaw_radps: 0.02_f64.to_radians(),
@@ -228,7 +229,7 @@ impl Case<'_> {
             [0.0, f64::INFINITY, 0.0],
             [0.0, 0.0, f64::INFINITY],
         ]);
-        let floor = integrity.floor_m.powi(2);
+        let floor = integrity.map_pose_m.powi(2) / self.map.window().typical_passes();
         let drift = (0.5 * integrity.odometry_scale * self.batch.travelled_m).powi(2);
         let (s, c) = self.corrected(&best.correction).yaw_rad.sin_cos();
         covariance[0][0] += floor + c * c * drift;
