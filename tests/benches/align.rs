@@ -56,8 +56,12 @@ impl Scene {
         }
         let lost = drive(3, 99);
         let middle = lost.scans[lost.scans.len() / 2].time_us;
-        let scans: Vec<_> =
-            lost.scans.iter().filter(|s| (middle - 5_000_000..=middle).contains(&s.time_us)).cloned().collect();
+        let scans: Vec<_> = lost
+            .scans
+            .iter()
+            .filter(|s| (middle - 5_000_000..=middle).contains(&s.time_us))
+            .cloned()
+            .collect();
         let batch = Batch::organise(&scans, &lost.mounts, &lost.odometry, middle, &gate)
             .expect("the odometry covers the drive");
         let mut pose = on_grid(&grid, &lost.truth).at(middle).expect("the truth covers the drive");
@@ -78,9 +82,9 @@ impl Scene {
 }
 
 fn on_grid(grid: &Grid, poses: &[GeoPose]) -> Trajectory {
-    let placed = poses.iter().map(|p| {
-        (p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad).expect("the town lies inside UTM"))
-    });
+    let placed = poses
+        .iter()
+        .map(|p| (p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad).expect("the town lies inside UTM")));
     Trajectory::new(placed).expect("the simulator's poses are in order")
 }
 

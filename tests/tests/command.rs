@@ -141,7 +141,6 @@ fn errors_say_what_to_do_and_end_with_exit_code_one() {
     fs::create_dir(&empty).unwrap();
     for (arguments, hints) in [
         (vec!["status", "--http", nobody], vec![nobody, "echofix serve"]),
-        (vec!["localize", &log, "--server", nobody], vec!["out of reach"]),
         (vec!["localize", &log, "--server", "127.0.0.1"], vec!["http://host:port"]),
         (vec!["map", &notes, "--server", nobody, "--spool", &spool], vec![&notes]),
         (vec!["map", &empty, "--server", nobody, "--spool", &spool], vec![&empty, "scans.csv", ".mcap"]),

@@ -133,7 +133,11 @@ fn frames_agree(answer: &LocalizeResponse, request: &LocalizeRequest) {
 
 /// Covariance, protection and alternatives are what they claim to be.
 fn bounds_make_sense(answer: &LocalizeResponse) {
-    let [xx, xy, xt, yy, yt, tt] = answer.covariance[..] else { panic!("{:?}", answer.covariance) };
+    let [xx, xy, xt, yy, yt, tt] = answer.covariance[..] else {
+        // Nothing holds the pose in some direction: no number, and no use.
+        assert!(answer.covariance.is_empty() && answer.protection.is_none(), "{answer:?}");
+        return assert_ne!(answer.status(), FixStatus::Usable);
+    };
     assert!(xx > 0.0 && yy > 0.0 && tt > 0.0, "{:?}", answer.covariance);
     assert!(xy * xy <= xx * yy && xt * xt <= xx * tt && yt * yt <= yy * tt, "{:?}", answer.covariance);
     let ProtectionLevel { along_m, cross_m, yaw_rad, integrity_risk, valid } = answer.protection.unwrap();

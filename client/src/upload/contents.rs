@@ -10,7 +10,7 @@ use uuid::Uuid;
 use crate::wire::{self, Columns};
 
 /// Detections in a chunk, at most: a quarter megabyte, well under the 4 MiB a message may have.
-const CHUNK_DETECTIONS: usize = 16_384;
+const CHUNK_DETECTIONS: usize = 2048;
 
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

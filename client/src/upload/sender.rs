@@ -38,7 +38,8 @@ impl Sender {
     pub(super) async fn run(mut self) {
         let mut client = self.connect();
         let mut backoff = Backoff::new(self.options.backoff);
-        // Uploads that the service fails on are passed over for a round: one must not hold up all.
+        // Uploads that the service fails on, or that do not get through in time, are passed over for a
+        // round: one must not hold up all.
         let mut passed_over = HashSet::new();
         while !*self.stop.borrow() {
             let Some(id) = self.next(&mut passed_over).await else { return };
@@ -48,7 +49,7 @@ impl Sender {
             };
             let (error, retry_after) = match trouble {
                 Trouble::Call(error) => {
-                    if matches!(error, CallError::Failed { .. }) {
+                    if matches!(error, CallError::Failed { .. } | CallError::Deadline) {
                         passed_over.insert(id);
                     }
                     // A connection that went silent is not used again.

@@ -4,8 +4,9 @@ use super::{Config, Error};
 
 impl Config {
     pub(super) fn check(&self) -> Result<(), Error> {
-        let Self { store, mapping, limits, .. } = self;
+        let Self { store, mapping, locating, limits, .. } = self;
         let positive = "must be above 0";
+        let within = |value: f64, most: f64| value > 0.0 && value <= most;
         let rules = [
             ("store.cache_mib", store.cache_mib > 0, positive),
             ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
@@ -33,6 +34,40 @@ impl Config {
                 "must lie within 1 and 256",
             ),
             ("mapping.max_unfolded", mapping.max_unfolded > 0, positive),
+            ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
+            ("locating.queue", locating.queue <= 4096, "must be at most 4096"),
+            (
+                "locating.window_cache_mib",
+                (1..=1 << 20).contains(&locating.window_cache_mib),
+                "must lie within 1 and 1048576",
+            ),
+            (
+                "locating.min_speed_mps",
+                locating.min_speed_mps.is_finite() && locating.min_speed_mps >= 0.0,
+                "must be finite and not negative",
+            ),
+            ("locating.max_range_m", within(locating.max_range_m, 300.0), "must be above 0 and at most 300"),
+            (
+                "locating.max_doppler_residual_mps",
+                within(locating.max_doppler_residual_mps, f64::MAX),
+                "must be finite and above 0",
+            ),
+            ("locating.min_detections", locating.min_detections > 0, positive),
+            (
+                "locating.max_sigma_position_m",
+                within(locating.max_sigma_position_m, 20.0),
+                "must be above 0 and at most 20",
+            ),
+            (
+                "locating.max_sigma_yaw_deg",
+                within(locating.max_sigma_yaw_deg, 45.0),
+                "must be above 0 and at most 45",
+            ),
+            (
+                "locating.integrity_risk",
+                locating.integrity_risk > 0.0 && locating.integrity_risk < 1.0,
+                "must lie between 0 and 1",
+            ),
             ("limits.connections", limits.connections > 0, positive),
             ("limits.streams_per_connection", limits.streams_per_connection > 0, positive),
             (

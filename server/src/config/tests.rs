@@ -54,3 +54,29 @@ fn mistakes_are_told_with_their_place_and_a_hint() {
     assert!(set.contains("did you mean `limits.stall_s`?"), "{set}");
     assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
 }
+
+#[test]
+fn locating_beyond_reason_is_refused() {
+    let cases = [
+        ("threads", "1025"),
+        ("queue", "4097"),
+        ("window_cache_mib", "0"),
+        ("window_cache_mib", "1048577"),
+        ("min_speed_mps", "-0.1"),
+        ("min_speed_mps", "inf"),
+        ("max_range_m", "0.0"),
+        ("max_range_m", "301.0"),
+        ("max_doppler_residual_mps", "nan"),
+        ("max_doppler_residual_mps", "inf"),
+        ("min_detections", "0"),
+        ("max_sigma_position_m", "20.5"),
+        ("max_sigma_yaw_deg", "46.0"),
+        ("integrity_risk", "0.0"),
+        ("integrity_risk", "1.0"),
+    ];
+    for (key, value) in cases {
+        let error = load(Some(&format!("[locating]\n{key} = {value}")), &[], &[]).unwrap_err().to_string();
+        assert!(error.starts_with(&format!("`locating.{key}` must ")), "{value}: {error}");
+    }
+    assert!(load(Some("[locating]\nmin_speed_mps = 0.0\nqueue = 0"), &[], &[]).is_ok());
+}

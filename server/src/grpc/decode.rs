@@ -79,7 +79,8 @@ pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Vio
     Ok(mounts.iter().map(mount).collect())
 }
 
-/// Scans out of their columns, in the order they came. `mounts` is the number of radars.
+/// Scans out of their columns, in the order they came, without those that hold no detection.
+/// `mounts` is the number of radars.
 ///
 /// # Errors
 /// The first column that breaks a rule.
@@ -115,7 +116,8 @@ pub fn scans(
     Ok(split(&all, &sensor, &times, &detection_count))
 }
 
-/// Each scan with its own rows of the detection columns.
+/// Each scan with its own rows of the detection columns. Those without any tell nothing and are left
+/// out: a few bytes on the wire would otherwise become a hundred in memory.
 fn split(all: &Scan, sensor: &[u32], times_us: &[i64], counts: &[u32]) -> Vec<Scan> {
     let mut start = 0;
     let scan = |((sensor, time_us), count): ((&u32, &i64), &u32)| {
@@ -123,16 +125,16 @@ fn split(all: &Scan, sensor: &[u32], times_us: &[i64], counts: &[u32]) -> Vec<Sc
         start = rows.end;
         // The optional columns may be empty.
         let cut = |column: &[f32]| column.get(rows.clone()).unwrap_or_default().to_vec();
-        Scan {
+        (*count > 0).then(|| Scan {
             sensor: *sensor as usize,
             time_us: *time_us,
             range_m: cut(&all.range_m),
             azimuth_rad: cut(&all.azimuth_rad),
             radial_speed_mps: cut(&all.radial_speed_mps),
             rcs_dbsm: cut(&all.rcs_dbsm),
-        }
+        })
     };
-    sensor.iter().zip(times_us).zip(counts).map(scan).collect()
+    sensor.iter().zip(times_us).zip(counts).filter_map(scan).collect()
 }
 
 /// The column a scan's error is about.

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use echofix_core::evidence::Pass;
 use echofix_proto::v1::upload_request::Part;
-use echofix_proto::v1::{DroppedDetections, TileContribution, UploadHeader, UploadRequest, UploadResponse};
+use echofix_proto::v1::{
+    DroppedDetections, TileContribution, UploadChunk, UploadHeader, UploadRequest, UploadResponse,
+};
 use prost::Message;
 use tokio::sync::Semaphore;
 use tokio_stream::{Stream, StreamExt};
@@ -20,6 +22,10 @@ use crate::metrics::{Metrics, Outcome};
 use crate::store::{MapStore, Receipt, Upload};
 
 const DAY_US: i64 = 86_400_000_000;
+/// Scans of one upload, at most: some that hold no detections cost few bytes to send.
+const MAX_SCANS: usize = 65_536;
+/// Poses of one upload, at most.
+const MAX_POSES: usize = 262_144;
 /// When a vehicle that was turned away should come again.
 const RETRY: Duration = Duration::from_secs(2);
 
@@ -71,7 +77,7 @@ impl MappingApi {
         let place = self.places.clone().try_acquire_owned();
         let place = place.map_err(|_| self.shed("too many uploads at once"))?;
         let progress = *self.store.progress().borrow();
-        if progress.journaled - progress.epoch > self.config.max_unfolded {
+        if progress.journaled.saturating_sub(progress.epoch) > self.config.max_unfolded {
             return Err(self.shed("uploads wait to be folded"));
         }
         let received = self.collect(requests).await.inspect_err(|_| self.count("INVALID"))?;
@@ -101,16 +107,17 @@ impl MappingApi {
         let reference_time_us = header.reference_time_us;
         let mut received = begin(header).map_err(invalid)?;
         let mounts = received.submission.mounts.len();
-        let (mut bytes, mut detections) = (0, 0);
+        let mut size = Size::default();
         while let Some(part) = self.next(&mut requests).await? {
             let Part::Chunk(chunk) = part else {
                 return Err(invalid(Violation::new("header", "must be the first message only")));
             };
-            bytes += chunk.encoded_len();
-            detections += chunk.scans.as_ref().map_or(0, |scans| scans.range_m.len());
-            self.bounded(bytes, detections).map_err(invalid)?;
+            size.add(&chunk);
+            size.check(&self.config).map_err(invalid)?;
             let scans = required(chunk.scans, "chunk.scans").map_err(invalid)?;
             let poses = required(chunk.poses, "chunk.poses").map_err(invalid)?;
+            same_day(&poses.time_offset_us, "chunk.poses.time_offset_us").map_err(invalid)?;
+            same_day(&scans.time_offset_us, "chunk.scans.time_offset_us").map_err(invalid)?;
             received.submission.chunks.push(Chunk {
                 poses: decode::geo_poses(&poses, reference_time_us, "chunk.poses").map_err(invalid)?,
                 scans: decode::scans(scans, reference_time_us, mounts, "chunk.scans").map_err(invalid)?,
@@ -133,14 +140,6 @@ impl MappingApi {
         Ok(Some(part))
     }
 
-    fn bounded(&self, bytes: usize, detections: usize) -> Result<(), Violation> {
-        let MappingConfig { max_upload_bytes, max_upload_detections, .. } = *self.config;
-        let told = format!("exceeds {max_upload_bytes} bytes in all; split the upload");
-        require(bytes <= max_upload_bytes, "chunk", &told)?;
-        let told = format!("exceeds {max_upload_detections} detections in all; split the upload");
-        require(detections <= max_upload_detections, "chunk.scans", &told)
-    }
-
     /// Vets a received upload and journals it.
     fn count_in(&self, received: Received) -> Result<Told, Error> {
         let Received { id, contributor, day, submission } = received;
@@ -149,7 +148,11 @@ impl MappingApi {
         }
         let forget_before = self.oldest_day(day)?;
         let contributed = mapping::contribute(submission, &self.config)?;
-        let agreement = mapping::agreement(&*self.store, &contributed)?;
+        // Only told, never decided by: an upload does not fail for it.
+        let agreement = mapping::agreement(&*self.store, &contributed).unwrap_or_else(|error| {
+            tracing::warn!(upload = %id, %error, "an upload cannot be compared with the map");
+            None
+        });
         let response = response(id, &contributed);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.contribution, response.encode_to_vec());
@@ -212,6 +215,36 @@ impl MappingApi {
     }
 }
 
+/// What an upload holds so far.
+#[derive(Debug, Default)]
+struct Size {
+    bytes: usize,
+    scans: usize,
+    poses: usize,
+    detections: usize,
+}
+
+impl Size {
+    fn add(&mut self, chunk: &UploadChunk) {
+        self.bytes += chunk.encoded_len();
+        self.scans += chunk.scans.as_ref().map_or(0, |scans| scans.sensor.len());
+        self.poses += chunk.poses.as_ref().map_or(0, |poses| poses.time_offset_us.len());
+        self.detections += chunk.scans.as_ref().map_or(0, |scans| scans.range_m.len());
+    }
+
+    fn check(&self, config: &MappingConfig) -> Result<(), Violation> {
+        let limits = [
+            ("chunk", self.bytes, config.max_upload_bytes, "bytes"),
+            ("chunk.scans", self.scans, MAX_SCANS, "scans"),
+            ("chunk.poses", self.poses, MAX_POSES, "poses"),
+            ("chunk.scans", self.detections, config.max_upload_detections, "detections"),
+        ];
+        limits.into_iter().try_for_each(|(field, found, most, what)| {
+            require(found <= most, field, &format!("exceeds {most} {what} in all; split the upload"))
+        })
+    }
+}
+
 /// A header's part of an upload.
 fn begin(header: UploadHeader) -> Result<Received, Violation> {
     let named = Uuid::try_parse(&header.upload_id);
@@ -219,10 +252,24 @@ fn begin(header: UploadHeader) -> Result<Received, Violation> {
     let length = header.contributor.chars().count();
     require((1..=64).contains(&length), "header.contributor", "must have 1 to 64 characters")?;
     decode::reference_time(header.reference_time_us, "header.reference_time_us")?;
+    let tomorrow = now_us() / DAY_US + 1;
+    let told = "lies in the future; check the vehicle's clock";
+    require(header.reference_time_us / DAY_US <= tomorrow, "header.reference_time_us", told)?;
     let mounts = decode::mounts(&header.mounts, "header.mounts")?;
     let day = (header.reference_time_us / DAY_US) as u16;
     let submission = Submission { mounts, chunks: Vec::new() };
     Ok(Received { id, contributor: header.contributor, day, submission })
+}
+
+/// The votes of an upload count for the day of its reference time, so nothing in it may lie far off.
+fn same_day(offsets_us: &[i64], field: &str) -> Result<(), Violation> {
+    match offsets_us.iter().position(|offset| !(-DAY_US..=DAY_US).contains(offset)) {
+        Some(row) => {
+            let told = "lies more than 24 h from the upload's reference time; split the upload";
+            Err(Violation::new(format!("{field}[{row}]"), told))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The answer, without what only the journal knows.
@@ -297,5 +344,50 @@ impl Error {
                 Status::internal("stored data cannot be read")
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use echofix_proto::v1::{PoseColumns, Scans, SensorMount};
+
+    use super::*;
+
+    /// The field at fault once `count` such chunks were sent.
+    fn refused(chunk: &UploadChunk, count: usize) -> Option<String> {
+        let mut size = Size::default();
+        (0..count).for_each(|_| size.add(chunk));
+        size.check(&MappingConfig::default()).err().map(|violation| violation.field)
+    }
+
+    #[test]
+    fn scans_and_poses_are_counted_over_all_chunks() {
+        let scans = Scans { sensor: vec![0; 16_384], ..Scans::default() };
+        let scans = UploadChunk { scans: Some(scans), poses: None };
+        assert_eq!(refused(&scans, 4), None);
+        assert_eq!(refused(&scans, 5).unwrap(), "chunk.scans");
+        let poses = PoseColumns { time_offset_us: vec![0; 65_536], ..PoseColumns::default() };
+        let poses = UploadChunk { scans: None, poses: Some(poses) };
+        assert_eq!(refused(&poses, 4), None);
+        assert_eq!(refused(&poses, 5).unwrap(), "chunk.poses");
+    }
+
+    #[test]
+    fn times_from_the_future_or_far_from_the_reference_are_named() {
+        let after = |days: i64| {
+            begin(UploadHeader {
+                upload_id: Uuid::nil().to_string(),
+                contributor: "car-7".to_owned(),
+                reference_time_us: now_us() + days * DAY_US,
+                mounts: vec![SensorMount::default()],
+            })
+        };
+        assert!(after(-300).is_ok() && after(0).is_ok());
+        let violation = after(3).err().unwrap();
+        assert_eq!(violation.field, "header.reference_time_us");
+        assert!(violation.description.contains("clock"), "{violation}");
+        assert!(same_day(&[-DAY_US, 0, DAY_US], "t").is_ok());
+        assert_eq!(same_day(&[0, DAY_US + 1], "t").unwrap_err().field, "t[1]");
+        assert_eq!(same_day(&[i64::MIN], "t").unwrap_err().field, "t[0]");
     }
 }

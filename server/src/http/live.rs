@@ -55,7 +55,7 @@ fn fresh(body: serde_json::Value) -> Response {
     ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }
 
-/// `GET /api/v1/events`
+/// `GET /api/v1/events`, until the listener leaves or the service drains
 pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Error> {
     let place = app.places.listen()?;
     let feed = &app.state.feed;
@@ -65,11 +65,13 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
         .merge(health)
         .merge(told("fix", feed.fixes.subscribe()))
         .merge(told("upload", feed.uploads.subscribe()))
-        .map(move |event| {
-            // The place is given back when the stream ends.
-            let _held = &place;
-            Ok::<_, Infallible>(event)
-        });
+        .map(Some);
+    let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
+    let stream = stream.merge(end).map_while(move |event| {
+        // The place is given back when the stream ends.
+        let _held = &place;
+        event.map(Ok::<_, Infallible>)
+    });
     let sse = Sse::new(stream).keep_alive(KeepAlive::new().interval(Duration::from_secs(15)));
     Ok(([("x-accel-buffering", "no")], sse))
 }
@@ -135,6 +137,15 @@ mod tests {
         let response = site.get("/api/v1/events").await;
         site.store.publish_epoch(42);
         read_until(response.into_body(), &["\"epoch\":42"]).await;
+    }
+
+    #[tokio::test]
+    async fn the_stream_ends_when_the_service_drains() {
+        let site = Site::default();
+        let body = site.get("/api/v1/events").await.into_body();
+        site.ending.send_replace(true);
+        let whole = axum::body::to_bytes(body, 1 << 20);
+        tokio::time::timeout(Duration::from_secs(5), whole).await.unwrap().unwrap();
     }
 
     #[tokio::test]

@@ -28,6 +28,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::middleware::from_fn;
 use axum::routing::{MethodRouter, get};
+use tokio::sync::watch;
 
 use crate::feed::Feed;
 use crate::health::Health;
@@ -46,6 +47,8 @@ pub struct HttpState {
     pub metrics: Arc<Metrics>,
     /// Whether the service is ready.
     pub health: Arc<Health>,
+    /// Turns true when the service drains: answers without an end must end then.
+    pub ending: watch::Receiver<bool>,
 }
 
 /// The state of the routes: what they answer from, what they keep, what they may use.

@@ -31,7 +31,7 @@ pub fn austin() -> TileId {
 }
 
 fn serving(epoch: u64) -> Progress {
-    Progress { state: State::Serving, epoch, journaled: epoch }
+    Progress { state: State::Serving, epoch, journaled: epoch, stopped: false }
 }
 
 /// A map in memory that is only read.
@@ -121,7 +121,7 @@ impl MapStore for FakeStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
-        let Progress { state, epoch, journaled } = *self.progress.borrow();
+        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
         if state == State::Rebuilding {
             return Err(Error::Rebuilding { folded: epoch, journaled });
         }
@@ -155,6 +155,8 @@ impl MapStore for FakeStore {
 pub struct Site {
     pub store: Arc<FakeStore>,
     pub state: HttpState,
+    /// Turns true when the service drains.
+    pub ending: watch::Sender<bool>,
     router: Router,
 }
 
@@ -167,13 +169,15 @@ impl Default for Site {
 impl Site {
     pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
         let store = Arc::new(FakeStore::with_tiles(tiles));
+        let ending = watch::Sender::new(false);
         let state = HttpState {
             store: Arc::clone(&store) as Arc<dyn MapStore>,
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
+            ending: ending.subscribe(),
         };
-        Self { store, state: state.clone(), router: router(state) }
+        Self { store, state: state.clone(), ending, router: router(state) }
     }
 
     pub async fn get(&self, path: &str) -> Response {

@@ -7,20 +7,45 @@ use crate::store::{Progress, State};
 pub(super) async fn follow(shared: Shared) {
     let mut progress = shared.store.progress();
     loop {
-        let Progress { state, epoch, journaled } = *progress.borrow_and_update();
+        let now = *progress.borrow_and_update();
+        let Progress { epoch, journaled, .. } = now;
         shared.metrics.epoch.set(epoch as i64);
         shared.metrics.unfolded.set(journaled.saturating_sub(epoch) as i64);
-        match state {
-            State::Rebuilding => {
-                shared
-                    .health
-                    .not_ready(format!("rebuilding the map: {epoch} of {journaled} uploads are folded"));
-            }
-            // A map that cannot be folded on can still be read.
-            State::Serving | State::Stalled => shared.health.ready(),
+        match hindrance(&now) {
+            Some(reason) => shared.health.not_ready(reason),
+            None => shared.health.ready(),
         }
         if progress.changed().await.is_err() {
             return;
         }
+    }
+}
+
+/// Why requests are not welcome.
+fn hindrance(progress: &Progress) -> Option<String> {
+    let Progress { state, epoch, journaled, stopped } = *progress;
+    if stopped {
+        return Some("the journal stopped after a write failed; restart once the disk is sound".to_owned());
+    }
+    match state {
+        State::Rebuilding => Some(format!("rebuilding the map: {epoch} of {journaled} uploads are folded")),
+        State::Stalled => {
+            Some(format!("folding fails and is tried again: {epoch} of {journaled} uploads are folded"))
+        }
+        State::Serving => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_store_that_does_not_go_on_is_not_ready() {
+        let told = |state, stopped| hindrance(&Progress { state, epoch: 3, journaled: 5, stopped });
+        assert_eq!(told(State::Serving, false), None);
+        assert!(told(State::Serving, true).unwrap().contains("journal stopped"));
+        assert!(told(State::Stalled, false).unwrap().contains("3 of 5"));
+        assert!(told(State::Rebuilding, false).unwrap().contains("rebuilding"));
     }
 }

@@ -6,21 +6,24 @@ use hyper_util::server::conn::auto;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
+use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::Shared;
 use super::connections::Door;
+use super::{Shared, ended};
 use crate::config::Limits;
 use crate::http::{HttpState, router};
 
 /// Serves until the end is called and the requests in flight are answered.
-pub(super) async fn serve(listener: TcpListener, shared: Shared, ended: impl Future<Output = ()> + Send) {
+pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::Receiver<bool>) {
     let Shared { config, store, feed, metrics, health } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
-    let routes = TowerToHyperService::new(router(HttpState { store, feed, metrics, health }));
+    let routes =
+        TowerToHyperService::new(router(HttpState { store, feed, metrics, health, ending: ending.clone() }));
     let graceful = GracefulShutdown::new();
     let mut connections = Door::new(listener, limits.connections, limits.handshake()).open();
+    let ended = ended(ending);
     tokio::pin!(ended);
     loop {
         let connection = tokio::select! {

@@ -145,8 +145,8 @@ impl Server {
         let grace = Duration::from_secs(shared.config.limits.shutdown_s);
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
-        let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(&ending)));
-        let mut http = tokio::spawn(http::serve(http, shared.clone(), ended(&ending)));
+        let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
+        let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
             () = shutdown => {}
             result = &mut grpc => return result?,
@@ -204,9 +204,6 @@ async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener,
 }
 
 /// Resolves when the end is called, or nobody is left to call it.
-fn ended(ending: &watch::Sender<bool>) -> impl Future<Output = ()> + Send + use<> {
-    let mut ending = ending.subscribe();
-    async move {
-        let _ = ending.wait_for(|ending| *ending).await;
-    }
+async fn ended(mut ending: watch::Receiver<bool>) {
+    let _ = ending.wait_for(|ending| *ending).await;
 }

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use siphasher::sip::SipHasher24;
 
+use super::journal::Journal;
 use super::{Error, io_error};
 
 /// A locked data directory.
@@ -34,6 +35,10 @@ impl DataDir {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(Error::InUse(root.display().to_string())),
             Err(TryLockError::Error(error)) => return Err(io_error("locking the data directory")(error)),
+        }
+        let named = root.join("key").try_exists().map_err(io_error("reading the key"))?;
+        if !named && Journal::holds_records(&root.join("journal"))? {
+            return Err(key_is_missing(root));
         }
         let key = key(root).map_err(io_error("reading or creating the key"))?;
         sync_dir(root).map_err(io_error("syncing the data directory"))?;
@@ -79,6 +84,16 @@ fn key(root: &Path) -> io::Result<[u8; 16]> {
     file.sync_all()?;
     fs::rename(unnamed, path)?;
     Ok(key)
+}
+
+/// Under a new key every contributor would count again, as somebody else.
+fn key_is_missing(root: &Path) -> Error {
+    Error::Damaged {
+        what: format!("the data directory {}", root.display()),
+        reason: "its journal holds uploads but the file `key` is missing. Restore it from a backup, or put \
+                 16 random bytes there to go on with every contributor counted as a new one"
+            .to_owned(),
+    }
 }
 
 fn sync_dir(dir: &Path) -> io::Result<()> {

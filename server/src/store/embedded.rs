@@ -57,13 +57,18 @@ impl EmbeddedStore {
         let end = index.newest();
         let Resumed { tiles, sound, folded } =
             fold::resume(&dir.tiles(), options.cache_bytes, found.id(), &newest, end)?;
-        let progress =
-            watch::Sender::new(Progress { state: State::Rebuilding, epoch: folded, journaled: end });
+        let progress = watch::Sender::new(Progress {
+            state: State::Rebuilding,
+            epoch: folded,
+            journaled: end,
+            stopped: false,
+        });
         let deliver = {
             let (index, progress) = (index.clone(), progress.clone());
             move |id: Uuid, written: Written| {
-                index.note(id, written);
+                // Noting wakes the folding thread: it must not be ahead of what is told.
                 progress.send_modify(|progress| progress.journaled = written.number);
+                index.note(id, written);
             }
         };
         let journal = Journal::start(&dir.journal(), found, options.segment_bytes, deliver)?;
@@ -99,7 +104,8 @@ impl MapStore for EmbeddedStore {
         match self.shared.index.claim(upload.id) {
             Claim::Counted(written) => self.counted_as(written),
             Claim::Ours(_pending) => {
-                let written = self.shared.journal.append(upload.id, record::encode(&upload))?;
+                let written = self.shared.journal.append(upload.id, record::encode(&upload));
+                let written = written.inspect_err(|error| self.shared.note_stop(error))?;
                 Ok(Receipt::Counted { epoch: written.number })
             }
         }

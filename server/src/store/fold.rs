@@ -115,18 +115,21 @@ pub(super) fn run(shared: &Shared) {
     if folded < whole {
         tracing::info!(folded, journaled = whole, "folding the journal into tiles");
     }
+    if folded >= whole {
+        shared.set_state(State::Serving);
+    }
     loop {
-        if folded >= whole {
-            shared.set_state(State::Serving);
-        }
         let Some(group) = shared.index.after(folded) else { return };
-        match fold(shared, &group) {
+        match caught(|| fold(shared, &group)) {
             Ok(newest) => {
                 folded = newest;
                 shared.progress.send_modify(|progress| progress.epoch = folded);
+                if folded >= whole {
+                    shared.set_state(State::Serving);
+                }
             }
-            Err(error) => {
-                tracing::error!(%error, "folding failed; trying again");
+            Err(reason) => {
+                tracing::error!(reason, "folding failed; trying again");
                 if folded >= whole {
                     shared.set_state(State::Stalled);
                 }
@@ -139,6 +142,15 @@ pub(super) fn run(shared: &Shared) {
             tracing::info!(folded, journaled = whole, "folding the journal into tiles");
             told = Instant::now();
         }
+    }
+}
+
+/// The outcome of work that may panic, as sled does on some damaged files. Folding is done again from
+/// what is stored, so nothing half done in memory is used.
+fn caught(work: impl FnOnce() -> Result<u64, Error>) -> Result<u64, String> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(outcome) => outcome.map_err(|error| error.to_string()),
+        Err(_) => Err("it panicked".to_owned()),
     }
 }
 
@@ -180,4 +192,16 @@ fn decode(number: u64, payload: &[u8]) -> Result<Upload, Error> {
 pub(super) fn unreadable(number: u64) -> Error {
     let reason = "its content does not follow the format; a newer version may have written it".to_owned();
     Error::Damaged { what: format!("journal record {number}"), reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_a_failure_like_any_other() {
+        assert_eq!(caught(|| Ok(7)), Ok(7));
+        assert!(caught(|| Err(unreadable(3))).unwrap_err().contains("record 3"));
+        assert_eq!(caught(|| panic!("a damaged page")), Err("it panicked".to_owned()));
+    }
 }

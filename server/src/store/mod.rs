@@ -169,6 +169,8 @@ pub struct Progress {
     pub epoch: u64,
     /// Number of the last contribution in the journal.
     pub journaled: u64,
+    /// The journal accepts nothing any more until a restart, see [`Error::Stopped`].
+    pub stopped: bool,
 }
 
 fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {

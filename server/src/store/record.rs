@@ -8,8 +8,10 @@
 //! the number of tiles and for each tile its EPSG code, x, y (zigzag) and number of cells; then
 //! the decoded length of the frame. The frame holds the cells of all tiles, one column after the
 //! other: indices as distances from the one before, hits, offset sums along x and along y.
-//! A contributor is in here as a keyed hash only; nothing says when within the day, or on which
-//! way, anything was seen.
+//! A contributor is in here as a keyed hash only, and no column says when within the day, or on
+//! which way, anything was seen. The upload's id and the answer are kept as they were sent: an id
+//! with a timestamp, such as a UUID of version 7, tells when it was made. A vehicle that does not want
+//! that known uses ids without one.
 
 use std::collections::BTreeMap;
 
@@ -46,8 +48,9 @@ pub(super) fn encode(upload: &Upload) -> Vec<u8> {
     }
     let columns = columns(tiles);
     out.put(columns.len() as u64);
-    // Compressing into memory does not fail; an empty frame would be caught on reading.
-    out.bytes.extend(zstd::bulk::compress(&columns, ZSTD_LEVEL).unwrap_or_default());
+    let frame = zstd::bulk::compress(&columns, ZSTD_LEVEL)
+        .expect("compressing into a buffer of the library's own bound cannot fail");
+    out.bytes.extend(frame);
     out.bytes
 }
 

@@ -22,7 +22,7 @@ pub(super) struct Shared {
 impl Shared {
     /// Nothing is answered from a map that does not show all it once showed.
     pub(super) fn readable(&self) -> Result<(), Error> {
-        let Progress { state, epoch, journaled } = *self.progress.borrow();
+        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
         match state {
             State::Rebuilding => Err(Error::Rebuilding { folded: epoch, journaled }),
             State::Serving | State::Stalled => Ok(()),
@@ -35,6 +35,13 @@ impl Shared {
             progress.state = state;
             changed
         });
+    }
+
+    /// A journal that stopped once accepts nothing any more, and that is told.
+    pub(super) fn note_stop(&self, error: &Error) {
+        if matches!(error, Error::Stopped(_)) {
+            self.progress.send_if_modified(|progress| !std::mem::replace(&mut progress.stopped, true));
+        }
     }
 
     pub(super) fn catalog(&self) -> RwLockReadGuard<'_, Catalog> {

@@ -189,6 +189,41 @@ fn acknowledged_uploads_missing_from_the_journal_are_told() {
 }
 
 #[test]
+fn a_journal_without_its_key_is_not_opened() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = dir.path().join("key");
+    drop(open(dir.path()));
+    std::fs::remove_file(&key).unwrap();
+    commit_all(&open(dir.path()), &some_uploads(1));
+    let bytes = std::fs::read(&key).unwrap();
+    std::fs::remove_file(&key).unwrap();
+    match EmbeddedStore::open(&options(dir.path())) {
+        Err(Error::Damaged { reason, .. }) => assert!(reason.contains("Restore it"), "{reason}"),
+        _ => panic!("the missing key went unnoticed"),
+    }
+    assert!(!key.exists(), "no new key is made in its place");
+    std::fs::write(&key, bytes).unwrap();
+    assert_eq!(map(&open(dir.path())), model(&some_uploads(1)));
+}
+
+#[test]
+fn a_journal_that_stopped_and_folding_that_fails_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    std::fs::rename(dir.path().join("journal"), dir.path().join("gone")).unwrap();
+    let uploads = some_uploads(200);
+    // The open segment takes some; the next cannot be made.
+    let refused = uploads.iter().find_map(|upload| store.commit(upload.clone()).err()).unwrap();
+    assert!(matches!(refused, Error::Stopped(_)), "{refused}");
+    assert!(store.progress().borrow().stopped);
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while store.progress().borrow().state != State::Stalled {
+        assert!(Instant::now() < deadline, "folding goes on without a journal");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
 fn one_id_from_many_threads_at_once_counts_once() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());

@@ -34,6 +34,22 @@ fn columns_are_split_into_scans() {
     assert!(scans[1].rcs_dbsm.is_empty());
 }
 
+#[test]
+fn scans_without_detections_are_left_out() {
+    let mut columns = scan_columns();
+    columns.sensor.insert(1, 0);
+    columns.time_offset_us.insert(1, -20);
+    columns.detection_count.insert(1, 0);
+    assert_eq!(scans(columns, 1_000, 2, "s"), scans(scan_columns(), 1_000, 2, "s"));
+    let empty = v1::Scans {
+        sensor: vec![0],
+        time_offset_us: vec![0],
+        detection_count: vec![0],
+        ..v1::Scans::default()
+    };
+    assert_eq!(scans(empty, 1_000, 2, "s"), Ok(vec![]));
+}
+
 /// The field a change of the columns is refused for.
 fn refused(change: impl FnOnce(&mut v1::Scans)) -> String {
     let mut columns = scan_columns();

@@ -108,6 +108,17 @@ impl Journal {
         Ok(Found { id, segment: Segment::reopen(dir, id, newest, length as u64)?, next })
     }
 
+    /// Does a journal hold anything beyond its headers?
+    pub(super) fn holds_records(dir: &Path) -> Result<bool, Error> {
+        for first in segments(dir)? {
+            let file = fs::metadata(segment::path(dir, first));
+            if file.map_err(io_error("reading a journal segment"))?.len() > segment::HEADER as u64 {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// Starts writing. `deliver` is told of every record in order, once it is on disk and before
     /// its append returns.
     pub(super) fn start(
