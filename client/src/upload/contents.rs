@@ -9,7 +9,8 @@ use uuid::Uuid;
 
 use crate::wire::{self, Columns};
 
-/// Detections in a chunk, at most: a quarter megabyte, well under the 4 MiB a message may have.
+/// Detections in a chunk, at most: some 20 kB. A chunk must cross within the time the service waits for
+/// a silent caller, on slow networks, too.
 const CHUNK_DETECTIONS: usize = 2048;
 
 /// Bytes that are not an upload.

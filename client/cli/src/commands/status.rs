@@ -16,7 +16,7 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the service is out of reach or answers nonsense.
+/// When the service is out of reach, not ready, or answers nonsense.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let ready = get(&args.http, "/readyz")?;
     let map = get(&args.http, "/api/v1/map")?;
@@ -26,6 +26,12 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&ready)?);
         println!("{}", serde_json::to_string_pretty(&map)?);
     }
+    // Scripts and health checks go by the exit code.
+    anyhow::ensure!(
+        ready["ready"] == true,
+        "the service is not ready: {}",
+        ready["reason"].as_str().unwrap_or("no reason given")
+    );
     Ok(())
 }
 
