@@ -21,7 +21,7 @@ pub fn uploads(drive: &Drive) -> Vec<Upload> {
     for event in replay(drive) {
         match event {
             Event::Odometry(time_us, pose) => {
-                recorder.push_odometry(time_us, pose).expect("odometry is in order")
+                recorder.push_odometry(time_us, pose).expect("odometry is in order");
             }
             Event::Scan(scan) => recorder.push_scan(scan.clone()).expect("a simulated scan is sound"),
             Event::Reference(pose) => uploads.extend(recorder.push_pose(*pose).expect("poses are in order")),

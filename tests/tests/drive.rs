@@ -1,5 +1,7 @@
 //! Two vehicles map a town; on another day a third one asks where it is.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 use echofix_core::geo::{Grid, LatLon};
 use echofix_proto::v1::localize_stream_response::Outcome;
 use echofix_proto::v1::{
@@ -61,9 +63,9 @@ fn error(answer: &LocalizeResponse, case: &Case) -> Error {
     Error::of(&answer.pose.expect("an answer has a pose"), &case.truth)
 }
 
-/// Catches whatever moves the map or the batch: radial speeds of the wrong sign, mounts left out, the
-/// scale factor or the convergence forgotten, half a cell lost; and a verdict that has become too
-/// shy or too bold.
+/// Catches whatever moves or turns the batch against the map: mounts left out, the convergence
+/// forgotten on the way out, radial speeds of the wrong sign; and a verdict that has become too shy or
+/// too bold.
 #[tokio::test(flavor = "multi_thread")]
 async fn usable_fixes_are_as_accurate_as_the_papers() {
     let Visit { cases, answers, .. } = visit().await;

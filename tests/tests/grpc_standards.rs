@@ -1,5 +1,7 @@
 //! What any gRPC tool expects of a service: health and reflection.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 use echofix_tests::grpc;
 use echofix_tests::service::Service;
 use tonic::Code;

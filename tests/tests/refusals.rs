@@ -1,12 +1,14 @@
 //! What cannot be answered is refused, typed, over the real socket; and the service goes on.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 use std::time::Duration;
 
 use echofix_client::refusal::{CallError, Refusal};
 use echofix_core::pose::wrap_angle;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::upload_request::Part;
-use echofix_proto::v1::{FixStatus, GeodeticPose, LocalizeRequest, Scans, UploadRequest};
+use echofix_proto::v1::{FixStatus, GeodeticPose, LocalizeRequest, Odometry, Scans, UploadRequest};
 use echofix_tests::service::Service;
 use echofix_tests::world::World;
 use echofix_tests::{grpc, mapping};
@@ -21,6 +23,7 @@ async fn world() -> &'static World {
 
 type Client = LocalizationServiceClient<Channel>;
 type Spoil = fn(&mut LocalizeRequest);
+type SpoilUpload = fn(&mut Vec<UploadRequest>);
 
 async fn refusal(client: &mut Client, request: LocalizeRequest) -> Status {
     client.localize(request).await.expect_err("the question is refused")
@@ -49,7 +52,7 @@ async fn what_cannot_be_answered_is_refused_with_its_reason() {
     let spoils: [(&str, Spoil); 10] = [
         // Ten thousand kilometres around the globe.
         ("NO_MAP", |r| {
-            pose(r).longitude_deg = wrap_angle((pose(r).longitude_deg + 104.0).to_radians()).to_degrees()
+            pose(r).longitude_deg = wrap_angle((pose(r).longitude_deg + 104.0).to_radians()).to_degrees();
         }),
         ("NO_MAP", |r| pose(r).latitude_deg += 0.01),
         ("TOO_SLOW", |r| slower(r, 0.0)),
@@ -111,7 +114,7 @@ async fn what_is_malformed_is_refused_with_its_field() {
         ("batch.scans.time_offset_us", |r| scans(r).time_offset_us.truncate(9)),
         ("batch.scans.sensor[0]", |r| scans(r).sensor[0] = 3),
         ("batch.odometry.x_m[0]", |r| r.batch.as_mut().unwrap().odometry.as_mut().unwrap().x_m[0] = f64::NAN),
-        ("batch.odometry", |r| r.batch.as_mut().unwrap().odometry = Some(Default::default())),
+        ("batch.odometry", |r| r.batch.as_mut().unwrap().odometry = Some(Odometry::default())),
         ("prior", |r| r.prior = None),
         ("prior.pose.latitude_deg", |r| pose(r).latitude_deg = 91.0),
         ("prior.pose.yaw_rad", |r| pose(r).yaw_rad = f64::NAN),
@@ -156,7 +159,6 @@ async fn uploads_that_cannot_be_used_are_refused_and_change_nothing() {
     let service = Service::start();
     let upload = mapping::uploads(&world.visit(150.0)).remove(0);
     let mut client = grpc::mapping(&service).await;
-    type SpoilUpload = fn(&mut Vec<UploadRequest>);
     let fields: [(&str, SpoilUpload); 8] = [
         ("header", |parts| drop(parts.remove(0))),
         ("header", |parts| parts.push(parts[0].clone())),
@@ -166,7 +168,7 @@ async fn uploads_that_cannot_be_used_are_refused_and_change_nothing() {
         ("header.contributor", |parts| header(parts).contributor.clear()),
         ("chunk.scans.sensor[0]", |parts| chunk(parts).scans.as_mut().unwrap().sensor[0] = 99),
         ("chunk.poses.latitude_deg[0]", |parts| {
-            chunk(parts).poses.as_mut().unwrap().latitude_deg[0] = f64::NAN
+            chunk(parts).poses.as_mut().unwrap().latitude_deg[0] = f64::NAN;
         }),
     ];
     for (row, (field, spoil)) in fields.into_iter().enumerate() {

@@ -38,18 +38,18 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
     for event in replay(drive) {
         let now_us = match event {
             Event::Odometry(now_us, pose) => {
-                vehicle.push_odometry(now_us, pose).unwrap();
+                vehicle.push_odometry(now_us, pose).expect("odometry is in order");
                 now_us
             }
             Event::Scan(scan) => {
-                vehicle.push_scan(scan.clone()).unwrap();
+                vehicle.push_scan(scan.clone()).expect("a simulated scan is sound");
                 continue;
             }
             Event::Reference(_) | Event::Truth(_) => continue,
         };
         let Some(true_now) = truth.at(now_us) else { continue };
         if vehicle.position().is_none() {
-            vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).unwrap();
+            vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).expect("GNSS gives a pose");
         }
         if now_us >= next_look_us {
             next_look_us = now_us + 100_000;
@@ -58,7 +58,7 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
         if now_us >= next_fix_us {
             next_fix_us = now_us + 1_000_000;
             if gnss_goes_on {
-                vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).unwrap();
+                vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).expect("GNSS gives a pose");
             }
             match locate(&mut vehicle, localizer).await {
                 Some(fix) => trip.fixes.push(fix),
