@@ -1,8 +1,8 @@
 //! From an upload to a contribution: which of its detections count, and where they fall.
 //!
-//! - [`contribute`]: pure: scans and poses become hits by tile and cell, near a zone border in
+//! - [`contribute`](mod@contribute): pure: scans and poses become hits by tile and cell, near a zone border in
 //!   every zone whose map holds the place.
-//! - [`agreement`]: how well a contribution agrees with the map that exists.
+//! - [`agreement`](mod@agreement): how well a contribution agrees with the map that exists.
 
 mod agreement;
 mod config;

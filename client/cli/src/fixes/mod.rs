@@ -55,7 +55,7 @@ pub struct Replay {
     pub left_out: LeftOut,
 }
 
-/// Drives the log through a [`Vehicle`] and asks as planned, each time from priors drawn around the
+/// Drives the log through a [`Vehicle`](echofix_client::vehicle::Vehicle) and asks as planned, each time from priors drawn around the
 /// truth.
 ///
 /// # Errors
