@@ -8,6 +8,7 @@ pub struct PointIndex {
     /// Points relative to `origin`: f32 is exact to a millimetre within some kilometres only.
     tree: Option<ImmutableKdTree<f32, 2>>,
     origin: [f64; 2],
+    points: usize,
 }
 
 impl PointIndex {
@@ -18,7 +19,13 @@ impl PointIndex {
         let origin = points.peek().copied().unwrap_or_default();
         let local: Vec<[f32; 2]> = points.map(|p| relative(p, origin)).collect();
         let tree = if local.is_empty() { None } else { ImmutableKdTree::new_from_slice(&local).ok() };
-        Self { tree, origin }
+        Self { tree, origin, points: local.len() }
+    }
+
+    /// Bytes held, approximately: a tree of a known library, not looked into.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.points * 2 * size_of::<[f32; 2]>()
     }
 
     /// Distance to the nearest map point, metres; `None` without any map point.

@@ -94,11 +94,24 @@ pub fn for_each_kept(
     Ok(dropped)
 }
 
+/// The points of a batch that one scan saw.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// Index of its first point; the next sighting's first point ends it.
+    pub first: usize,
+    /// Seconds from the scan to the reference time.
+    pub age_s: f64,
+    /// Where odometry says the body was, in the frame of the batch.
+    pub body: Pose2,
+}
+
 /// A batch: points in the frame of the body at the reference time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
     /// Ground metres, x forward and y left of the body at the reference time.
     pub points: Vec<[f32; 2]>,
+    /// Which scan saw which points, in order of the points; scans without points are left out.
+    pub sightings: Vec<Sighting>,
     /// Detections that were given.
     pub detections: u64,
     /// Detections that were left out.
@@ -127,14 +140,23 @@ impl Batch {
         let reference = odometry.at(reference_time_us).ok_or(outside)?;
         let to_body = reference.inverse();
         let mut points = Vec::with_capacity(scans.iter().map(Scan::len).sum());
-        let dropped = for_each_kept(scans, mounts, odometry, gate, 1.0, |_, point| {
+        let mut sightings: Vec<Sighting> = Vec::with_capacity(scans.len());
+        let mut newest = None;
+        let dropped = for_each_kept(scans, mounts, odometry, gate, 1.0, |scan, point| {
+            if newest != Some(scan) {
+                newest = Some(scan);
+                let time_us = scans[scan].time_us;
+                let body = odometry.at(time_us).map_or(Pose2::IDENTITY, |pose| to_body.compose(&pose));
+                let age_s = (reference_time_us - time_us) as f64 * 1e-6;
+                sightings.push(Sighting { first: points.len(), age_s, body });
+            }
             let [x, y] = to_body.transform(point);
             points.push([x as f32, y as f32]);
         })?;
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
         let (duration_s, travelled_m) = extent(scans, odometry);
         let detections = scans.iter().map(|s| s.len() as u64).sum();
-        Ok(Self { points, detections, dropped, duration_s, travelled_m, speed_mps })
+        Ok(Self { points, sightings, detections, dropped, duration_s, travelled_m, speed_mps })
     }
 }
 

@@ -9,13 +9,20 @@
 //!    below a heading step; the best one is the answer, the others are its alternatives.
 //! 5. [`verdict`]: may the answer be used, and how large can its error be?
 
+pub mod engine;
 pub mod fft;
 pub mod peaks;
 mod prepared;
 pub mod raster;
+pub mod climb;
 pub mod refine;
+pub mod score;
+pub mod simd;
 mod surface;
+pub mod thin;
 pub mod verdict;
+pub mod view;
+pub mod weights;
 
 pub use prepared::PreparedMap;
 pub use surface::Surface;

@@ -1,0 +1,297 @@
+//! Climbing a hill to its summit: below a cell, below a heading step, and with the odometry's drift
+//! as part of the answer.
+
+use nalgebra::{Matrix3, SMatrix, SVector};
+
+use super::engine::Peak;
+use super::score::{Field, Slope};
+use super::thin::Thinner;
+use super::{Prior, Search};
+use crate::batch::Batch;
+use crate::pose::{Pose2, wrap_angle};
+
+/// Lengths that one step may have at most: metres, metres, radians.
+const MAX_STEP: [f64; 3] = [0.3, 0.3, 0.015];
+/// A step below this is the last one: metres, metres, radians.
+const CONVERGED: [f64; 3] = [0.002, 0.002, 0.000_05];
+const MAX_STEPS: usize = 8;
+
+type Vector6 = SVector<f64, 6>;
+type Matrix6 = SMatrix<f64, 6, 6>;
+
+/// A summit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summit {
+    /// Corrected pose minus prior: metres east and north, radians.
+    pub correction: Pose2,
+    /// Mean weight of the points there.
+    pub score: f64,
+    /// Negative second derivatives of the summed score over (east m, north m, yaw rad); the drift,
+    /// if it was estimated, is marginalised out.
+    pub information: Matrix3<f64>,
+    /// True when the hill lay on the edge of the search.
+    pub at_edge: bool,
+}
+
+/// Climbs a hill with rigid points, ground metres in the body's frame.
+#[must_use]
+pub fn climb(field: &Field, points: &[[f32; 3]], prior: &Prior, peak: &Peak) -> Summit {
+    let pose_of = |at: [f64; 3]| corrected(&prior.pose, at);
+    let slope_at = |at: [f64; 3]| field.slope(points, &pose_of(at), prior.scale);
+    let mut at = [peak.correction.x_m, peak.correction.y_m, peak.correction.yaw_rad];
+    let mut here = slope_at(at);
+    for _ in 0..MAX_STEPS {
+        let step = bounded(ascent(&here));
+        let Some((next, slope)) = uphill(at, here.value, step, slope_at) else { break };
+        (at, here) = (next, slope);
+        if small(step) {
+            break;
+        }
+    }
+    Summit {
+        correction: Pose2::new(at[0], at[1], wrap_angle(at[2])),
+        score: here.value / points.len().max(1) as f64,
+        information: -curvature(&here),
+        at_edge: peak.at_edge,
+    }
+}
+
+fn corrected(prior: &Pose2, [x, y, yaw]: [f64; 3]) -> Pose2 {
+    Pose2::new(prior.x_m + x, prior.y_m + y, prior.yaw_rad + yaw)
+}
+
+fn curvature(slope: &Slope) -> Matrix3<f64> {
+    let [xx, xy, yy, xt, yt, tt] = slope.curvature;
+    Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt)
+}
+
+/// Newton's step where the score is a summit's, else one along the slope.
+fn ascent(slope: &Slope) -> [f64; 3] {
+    let gradient = nalgebra::Vector3::from(slope.gradient);
+    match (-curvature(slope)).cholesky() {
+        Some(cholesky) => cholesky.solve(&gradient).into(),
+        None => {
+            // As long as the longest step, in the metric of the longest steps.
+            let scaled = [0, 1, 2].map(|i: usize| slope.gradient[i] * MAX_STEP[i]);
+            let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+            [0, 1, 2].map(|i: usize| 0.5 * MAX_STEP[i] * scaled[i] / norm)
+        }
+    }
+}
+
+fn bounded(step: [f64; 3]) -> [f64; 3] {
+    let excess = step.iter().zip(MAX_STEP).map(|(s, most)| (s / most).abs()).fold(1.0, f64::max);
+    step.map(|s| s / excess)
+}
+
+fn small(step: [f64; 3]) -> bool {
+    step.iter().zip(CONVERGED).all(|(s, limit)| s.abs() < limit)
+}
+
+/// The first of the step, its half and its quarter that leads uphill.
+fn uphill(
+    at: [f64; 3],
+    value: f64,
+    step: [f64; 3],
+    slope_at: impl Fn([f64; 3]) -> Slope,
+) -> Option<([f64; 3], Slope)> {
+    [1.0, 0.5, 0.25].into_iter().find_map(|share| {
+        let next = [0, 1, 2].map(|i: usize| at[i] + share * step[i]);
+        let slope = slope_at(next);
+        (slope.value > value).then_some((next, slope))
+    })
+}
+
+/// What odometry may have drifted over a batch: one sigma.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DriftPrior {
+    /// Along each axis, metres a second.
+    pub position_mps: f64,
+    /// Radians a second.
+    pub yaw_radps: f64,
+    /// Independent returns count for this many detections: what the drift's prior is weighed against.
+    pub temperature: f64,
+}
+
+/// A batch whose scans may move against each other, as odometry drifts.
+#[derive(Default)]
+pub struct Flexible {
+    /// Points relative to where the body was when it saw them, in the axes of the batch's frame.
+    points: Vec<[f32; 3]>,
+    scans: Vec<Seen>,
+    duration_s: f64,
+    thinner: Thinner,
+    thinned: Vec<[f32; 3]>,
+    seen: Vec<u8>,
+}
+
+/// One scan's points.
+struct Seen {
+    end: usize,
+    /// Where the body was, ground metres in the batch's frame.
+    body: [f64; 2],
+    /// Share of the batch that had passed by then, less a half: a drift that is zero in the middle
+    /// of the batch hardly depends on the pose.
+    share: f64,
+}
+
+impl Flexible {
+    /// Takes a batch's points within reach, thinned to one a block within each stretch of time.
+    pub fn take(&mut self, batch: &Batch, search: &Search, stretch_s: f64, block_m: f32) {
+        self.points.clear();
+        self.scans.clear();
+        self.seen.clear();
+        let oldest_s = batch.sightings.iter().map(|s| s.age_s).fold(0.0, f64::max);
+        self.duration_s = oldest_s;
+        let mut rest = &batch.sightings[..];
+        while let Some(first) = rest.first() {
+            let count = rest.iter().take_while(|s| first.age_s - s.age_s < stretch_s).count();
+            let (stretch, after) = rest.split_at(count);
+            rest = after;
+            let end = rest.first().map_or(batch.points.len(), |s| s.first);
+            let middle = &stretch[count / 2];
+            let body = [middle.body.x_m, middle.body.y_m];
+            let [bx, by] = body.map(|v| v as f32);
+            let reach = search.extent_m as f32;
+            self.thinner.thin(&batch.points[first.first..end], reach, block_m, &mut self.thinned);
+            let half = (reach / block_m).ceil();
+            let side = 2 * half as usize + 1;
+            self.seen.resize(side * side, 0);
+            self.points.extend(self.thinned.iter().map(|[x, y, _]| {
+                let (column, row) = ((x / block_m + half) as usize, (y / block_m + half) as usize);
+                let b = row * side + column;
+                self.seen[b] += 1;
+                [x - bx, y - by, f32::from_bits(b as u32)]
+            }));
+            let share = if oldest_s > 0.0 { 0.5 - middle.age_s / oldest_s } else { 0.0 };
+            self.scans.push(Seen { end: self.points.len(), body, share });
+        }
+        let alpha: f32 = std::env::var("ALPHA").ok().map_or(1.0, |s| s.parse().unwrap());
+        for p in &mut self.points {
+            p[2] = f32::from(self.seen[p[2].to_bits() as usize]).powf(-alpha);
+        }
+    }
+
+    /// Points taken.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Climbs on from a rigid summit. The answer is the pose at the reference time.
+    #[must_use]
+    pub fn climb(&self, field: &Field, prior: &Prior, from: &Summit, drift: &DriftPrior) -> Summit {
+        let sigma = [drift.position_mps, drift.position_mps, drift.yaw_radps].map(|s| s * self.duration_s.max(0.1));
+        let stiff = sigma.map(|s| drift.temperature / (s * s));
+        let start = from.correction;
+        let mut at = Vector6::from([start.x_m, start.y_m, start.yaw_rad, 0.0, 0.0, 0.0]);
+        let mut here = self.landscape(field, prior, &at, stiff, drift.temperature);
+        for _ in 0..MAX_STEPS {
+            let Some(step) = here.step() else { break };
+            let rigid = [step[0], step[1], step[2]];
+            let excess = rigid.iter().zip(MAX_STEP).map(|(s, most)| (s / most).abs()).fold(1.0, f64::max);
+            let step = step / excess;
+            let Some((next, landscape)) = [1.0, 0.5, 0.25].into_iter().find_map(|share| {
+                let next = at + step * share;
+                let landscape = self.landscape(field, prior, &next, stiff, drift.temperature);
+                (landscape.value > here.value).then_some((next, landscape))
+            }) else {
+                break;
+            };
+            (at, here) = (next, landscape);
+            if small([step[0] + 0.5 * step[3], step[1] + 0.5 * step[4], step[2] + 0.5 * step[5]]) {
+                break;
+            }
+        }
+        // The reference time is the end of the batch: half the drift beyond its middle.
+        let end = [0, 1, 2].map(|i: usize| at[i] + 0.5 * at[i + 3]);
+        Summit {
+            correction: Pose2::new(end[0], end[1], wrap_angle(end[2])),
+            score: here.weight / self.points.len().max(1) as f64,
+            information: here.information_of_the_end(),
+            at_edge: from.at_edge,
+        }
+    }
+
+    fn landscape(&self, field: &Field, prior: &Prior, at: &Vector6, stiff: [f64; 3], temperature: f64) -> Landscape {
+        let middle = corrected(&prior.pose, [at[0], at[1], at[2]]);
+        let (s, c) = middle.yaw_rad.sin_cos();
+        let (s, c) = (s * prior.scale, c * prior.scale);
+        let mut sum = Landscape::default();
+        let mut first = 0;
+        for scan in &self.scans {
+            let [bx, by] = scan.body;
+            let arm = [c * bx - s * by, s * bx + c * by];
+            let pose = Pose2::new(
+                middle.x_m + arm[0] + scan.share * at[3],
+                middle.y_m + arm[1] + scan.share * at[4],
+                middle.yaw_rad + scan.share * at[5],
+            );
+            let slope = field.slope(&self.points[first..scan.end], &pose, prior.scale);
+            sum.add(&slope, arm, scan.share);
+            first = scan.end;
+        }
+        let nu: f64 = std::env::var("NU").ok().map_or(1e9, |s| s.parse().unwrap());
+        let squared: f64 = (0..3).map(|i: usize| stiff[i] * at[i + 3] * at[i + 3]).sum::<f64>() / temperature;
+        sum.value -= 0.5 * temperature * (nu + 3.0) * (squared / nu).ln_1p();
+        let w = (nu + 3.0) / (nu + squared);
+        for i in 0..3 {
+            sum.gradient[i + 3] -= w * stiff[i] * at[i + 3];
+            sum.curvature[(i + 3, i + 3)] -= w * stiff[i];
+        }
+        sum
+    }
+}
+
+/// The score over (east, north, yaw) of the batch's middle and the drift of the same from its
+/// beginning to its end.
+#[derive(Default)]
+struct Landscape {
+    /// Score and prior of the drift.
+    value: f64,
+    /// Score alone.
+    weight: f64,
+    gradient: Vector6,
+    curvature: Matrix6,
+}
+
+impl Landscape {
+    /// Adds a scan whose body is at `arm` (map metres) from the batch's.
+    fn add(&mut self, slope: &Slope, arm: [f64; 2], share: f64) {
+        self.value += slope.value;
+        self.weight += slope.value;
+        let (g, h) = (nalgebra::Vector3::from(slope.gradient), curvature(slope));
+        // The scan's pose by the batch's: turning the batch swings the arm.
+        let swing = Matrix3::new(1.0, 0.0, -arm[1], 0.0, 1.0, arm[0], 0.0, 0.0, 1.0);
+        let mut rigid = swing.transpose() * h * swing;
+        rigid[(2, 2)] -= g[0] * arm[0] + g[1] * arm[1];
+        let cross = swing.transpose() * h * share;
+        let mut add = |row: usize, column: usize, block: &Matrix3<f64>| {
+            let mut view = self.curvature.fixed_view_mut::<3, 3>(row, column);
+            view += block;
+        };
+        add(0, 0, &rigid);
+        add(0, 3, &cross);
+        add(3, 0, &cross.transpose());
+        add(3, 3, &(h * share * share));
+        let mut gradient = self.gradient.fixed_view_mut::<3, 1>(0, 0);
+        gradient += swing.transpose() * g;
+        let mut gradient = self.gradient.fixed_view_mut::<3, 1>(3, 0);
+        gradient += g * share;
+    }
+
+    /// Newton's step, if this is a summit's.
+    fn step(&self) -> Option<Vector6> {
+        (-self.curvature).cholesky().map(|c| c.solve(&self.gradient))
+    }
+
+    /// The information about the pose at the end of the batch; zero where there is no summit.
+    fn information_of_the_end(&self) -> Matrix3<f64> {
+        let Some(covariance) = (-self.curvature).cholesky().map(|c| c.inverse()) else {
+            return Matrix3::zeros();
+        };
+        let block = |row: usize, column: usize| covariance.fixed_view::<3, 3>(row, column).into_owned();
+        let end = block(0, 0) + (block(0, 3) + block(3, 0)) * 0.5 + block(3, 3) * 0.25;
+        end.cholesky().map_or_else(Matrix3::zeros, |c| c.inverse())
+    }
+}

@@ -1,0 +1,190 @@
+//! The score of a pose: how much weight the map has below the points, with slope and curvature.
+//!
+//! Weights are interpolated by quadratic B-splines, so that slope and curvature are those of one
+//! smooth function and a climb takes few steps.
+
+use super::simd::{Isa, Kernel};
+use super::view::MapView;
+use super::weights::STEPS;
+use crate::geo::CELL_M;
+use crate::pose::Pose2;
+
+/// A score and its derivatives over (east m, north m, yaw rad).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Slope {
+    /// Sum of the points' weights, in units of the logarithm.
+    pub value: f64,
+    /// First derivatives.
+    pub gradient: [f64; 3],
+    /// Second derivatives: xx, xy, yy, x-yaw, y-yaw, yaw-yaw.
+    pub curvature: [f64; 6],
+}
+
+/// A map to score poses on.
+#[derive(Clone, Copy)]
+pub struct Field<'a> {
+    image: &'a [u8],
+    side: usize,
+    /// Map metres of the image's south-west corner.
+    origin: [f64; 2],
+}
+
+impl<'a> Field<'a> {
+    /// The cells of a view.
+    #[must_use]
+    pub fn of(view: &'a MapView) -> Self {
+        let frame = view.frame();
+        Self { image: view.fine(), side: frame.side, origin: frame.to_metres([0.0, 0.0]) }
+    }
+
+    /// Scores points (ground metres in a body's frame, and what each counts for) seen by a body at `pose` (map metres); `scale`
+    /// is the map's metres per ground metre.
+    #[must_use]
+    pub fn slope(&self, points: &[[f32; 3]], pose: &Pose2, scale: f64) -> Slope {
+        let per_metre = 1.0 / CELL_M;
+        // Centres of cells are at half.
+        let x0 = ((pose.x_m - self.origin[0]) * per_metre - 0.5) as f32;
+        let y0 = ((pose.y_m - self.origin[1]) * per_metre - 0.5) as f32;
+        let (s, c) = pose.yaw_rad.sin_cos();
+        let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
+        let sums = Isa::best().run(Sums { field: self, points, from: [x0, y0], turn: [s, c] });
+        let unit = f64::from(STEPS).recip();
+        let s = sums.map(|sum| f64::from(sum) * unit);
+        let second = per_metre * per_metre;
+        Slope {
+            value: s[0],
+            gradient: [s[1] * per_metre, s[2] * per_metre, s[3]],
+            curvature: [
+                s[4] * second,
+                s[5] * second,
+                s[6] * second,
+                s[7] * per_metre,
+                s[8] * per_metre,
+                s[9],
+            ],
+        }
+    }
+
+    /// The 3 x 3 weights around each point of a block; 0 at the image's border and beyond.
+    #[inline(always)]
+    fn patches(&self, points: &[[f32; 3]], [x0, y0]: [f32; 2], [s, c]: [f32; 2]) -> Patches {
+        let mut p = Patches::default();
+        let limit = (self.side - 2) as f32;
+        let mut index = [0_u32; LANES];
+        let mut local = [[0.0_f32; LANES]; 3];
+        for (i, [px, py, weight]) in points.iter().enumerate() {
+            (local[0][i], local[1][i], local[2][i]) = (*px, *py, *weight);
+        }
+        for i in 0..LANES {
+            let (rx, ry) = (c * local[0][i] - s * local[1][i], s * local[0][i] + c * local[1][i]);
+            let (x, y) = (x0 + rx, y0 + ry);
+            let inside = x >= 1.0 && y >= 1.0 && x < limit && y < limit;
+            // A point outside gets taps from the corner, and no arm and no weight below.
+            let (x, y) = if inside { (x, y) } else { (1.0, 1.0) };
+            let (column, row) = ((x + 0.5) as u32, (y + 0.5) as u32);
+            (p.fx[i], p.fy[i]) = (x - column as f32, y - row as f32);
+            (p.rx[i], p.ry[i]) = (rx, ry);
+            p.weight[i] = if inside { local[2][i] } else { 0.0 };
+            index[i] = (row - 1) * self.side as u32 + column - 1;
+        }
+        for i in 0..LANES {
+            for (row, taps) in p.taps.iter_mut().enumerate() {
+                let from = index[i] as usize + row * self.side;
+                let four = self.image.get(from..from + 4).and_then(|t| t.try_into().ok());
+                taps[i] = u32::from_le_bytes(four.unwrap_or_default());
+            }
+        }
+        p
+    }
+
+    /// Only the score, each point at its nearest cell: for comparing far poses.
+    #[must_use]
+    pub fn value(&self, points: &[[f32; 2]], pose: &Pose2, scale: f64) -> f64 {
+        let per_metre = 1.0 / CELL_M;
+        let x0 = ((pose.x_m - self.origin[0]) * per_metre) as f32;
+        let y0 = ((pose.y_m - self.origin[1]) * per_metre) as f32;
+        let (s, c) = pose.yaw_rad.sin_cos();
+        let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
+        let inside = 0.0..self.side as f32;
+        let mut sum = 0_u32;
+        for [px, py] in points {
+            let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
+            if inside.contains(&x) && inside.contains(&y) {
+                sum += u32::from(self.image[y as usize * self.side + x as usize]);
+            }
+        }
+        f64::from(sum) / f64::from(STEPS)
+    }
+}
+
+/// Points to be summed up: the place of the body, cells, and sine and cosine times cells a metre.
+struct Sums<'a> {
+    field: &'a Field<'a>,
+    points: &'a [[f32; 3]],
+    from: [f32; 2],
+    turn: [f32; 2],
+}
+
+impl Kernel for Sums<'_> {
+    type Out = [f32; TERMS];
+
+    #[inline(always)]
+    fn run(self) -> [f32; TERMS] {
+        let mut sums = [[0.0_f32; LANES]; TERMS];
+        for block in self.points.chunks(LANES) {
+            self.field.patches(block, self.from, self.turn).add_terms(&mut sums);
+        }
+        sums.map(|lanes| lanes.iter().sum())
+    }
+}
+
+/// Points that are scored side by side.
+const LANES: usize = 16;
+/// Weight, its slopes over (x, y, turn), its curvatures over (xx, xy, yy, x-turn, y-turn, turn-turn).
+const TERMS: usize = 10;
+
+/// A block of points, each with the weights around it.
+#[derive(Default)]
+struct Patches {
+    /// By row, the bytes of three neighbouring cells, and a fourth that is not used.
+    taps: [[u32; LANES]; 3],
+    /// Where the point lies, cells from the middle one's centre.
+    fx: [f32; LANES],
+    fy: [f32; LANES],
+    /// Where it lies, cells from the body.
+    rx: [f32; LANES],
+    ry: [f32; LANES],
+    /// What it counts for; 0 outside the image.
+    weight: [f32; LANES],
+}
+
+impl Patches {
+    #[inline(always)]
+    fn add_terms(&self, sums: &mut [[f32; LANES]; TERMS]) {
+        for i in 0..LANES {
+            let ((bx, dx), (by, dy)) = (spline(self.fx[i]), spline(self.fy[i]));
+            let column = |shift: u32| [0, 1, 2].map(|row: usize| ((self.taps[row][i] >> shift) & 255) as f32);
+            let columns = [column(0), column(8), column(16)];
+            let blend = |b: &[f32; 3], v: [f32; 3]| b[0] * v[0] + b[1] * v[1] + b[2] * v[2];
+            let value = columns.map(|c| blend(&by, c));
+            let slope = columns.map(|c| blend(&dy, c));
+            let curve = columns.map(|c| c[0] - 2.0 * c[1] + c[2]);
+            let (w, x, xx) = (blend(&bx, value), blend(&dx, value), value[0] - 2.0 * value[1] + value[2]);
+            let (y, xy, yy) = (blend(&bx, slope), blend(&dx, slope), blend(&bx, curve));
+            let (rx, ry, k) = (self.rx[i], self.ry[i], self.weight[i]);
+            let (hx, hy) = (xy * rx - xx * ry, yy * rx - xy * ry);
+            let turn = [y * rx - x * ry, hy * rx - hx * ry - x * rx - y * ry];
+            let terms = [w, x, y, turn[0], xx, xy, yy, hx, hy, turn[1]];
+            for t in 0..TERMS {
+                sums[t][i] += k * terms[t];
+            }
+        }
+    }
+}
+
+/// Taps of the quadratic B-spline, and of its slope, at `f` in [-1/2, 1/2] from the middle sample.
+#[inline(always)]
+fn spline(f: f32) -> ([f32; 3], [f32; 3]) {
+    let (low, high) = (0.5 - f, 0.5 + f);
+    ([0.5 * low * low, 0.75 - f * f, 0.5 * high * high], [-low, -2.0 * f, high])
+}

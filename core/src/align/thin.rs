@@ -1,0 +1,54 @@
+//! A batch, thinned: one point for each block that holds any. Ten returns from one lamp post in one
+//! batch are not ten witnesses.
+
+/// Thins points to one, their mean, for each block of a square grid.
+#[derive(Default)]
+pub struct Thinner {
+    /// For each block 1 + the index of its sum, 0 without any.
+    blocks: Vec<u32>,
+    sums: Vec<[f32; 3]>,
+}
+
+impl Thinner {
+    /// Writes the means of the points in blocks of `block_m` into `out`: ground metres in the
+    /// body's frame. Points farther than `reach_m` are left out.
+    pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f32, block_m: f32, out: &mut Vec<[f32; 3]>) {
+        let half = (reach_m / block_m).ceil();
+        let side = 2 * half as usize + 1;
+        self.blocks.clear();
+        self.blocks.resize(side * side, 0);
+        self.sums.clear();
+        for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
+            let (column, row) = ((x / block_m + half) as usize, (y / block_m + half) as usize);
+            let slot = &mut self.blocks[row * side + column];
+            if *slot == 0 {
+                self.sums.push([0.0; 3]);
+                *slot = self.sums.len() as u32;
+            }
+            let sum = &mut self.sums[*slot as usize - 1];
+            *sum = [sum[0] + x, sum[1] + y, sum[2] + 1.0];
+        }
+        out.clear();
+        out.extend(self.sums.iter().map(|[x, y, n]| [x / n, y / n, 1.0]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_point_in_reach_has_a_mean_nearby(points in prop::collection::vec((-60.0..60.0_f32, -60.0..60.0_f32), 0..200)) {
+            let points: Vec<[f32; 2]> = points.into_iter().map(|(x, y)| [x, y]).collect();
+            let mut out = Vec::new();
+            Thinner::default().thin(&points, 50.0, 0.4, &mut out);
+            let inside = points.iter().filter(|[x, y]| x.hypot(*y) <= 50.0);
+            for p in inside.clone() {
+                prop_assert!(out.iter().any(|q| (p[0] - q[0]).abs() <= 0.401 && (p[1] - q[1]).abs() <= 0.401));
+            }
+            prop_assert!(out.len() <= inside.count());
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! The weights around a prior, assembled from prepared tiles into one image.
+//!
+//! Assembling is copying rows: nothing is computed for a place that another request has prepared.
+
+use std::sync::Arc;
+
+use super::weights::{COARSE, TileWeights, mean};
+use crate::geo::{CELLS_PER_TILE, TileId};
+use crate::window::Frame;
+
+/// Bytes beyond the last row, so that a strip that starts in the image can be read whole.
+const PADDING: usize = 64;
+
+/// A square of the map as weights; reused from request to request.
+#[derive(Default)]
+pub struct MapView {
+    frame: Option<Frame>,
+    fine: Vec<u8>,
+    coarse: Vec<u8>,
+    tiles: Vec<Arc<TileWeights>>,
+}
+
+impl MapView {
+    /// Shows a square; tiles that are not given are empty.
+    pub fn show(&mut self, frame: Frame, tiles: &[Arc<TileWeights>]) {
+        let same = |(a, b): (&Arc<_>, &Arc<_>)| Arc::ptr_eq(a, b);
+        if self.frame == Some(frame)
+            && self.tiles.len() == tiles.len()
+            && self.tiles.iter().zip(tiles).all(same)
+        {
+            return;
+        }
+        self.frame = Some(frame);
+        self.tiles.clear();
+        self.tiles.extend_from_slice(tiles);
+        let coarse_side = frame.side / COARSE;
+        reset(&mut self.fine, frame.side * frame.side + PADDING);
+        reset(&mut self.coarse, coarse_side * coarse_side + PADDING);
+        for tile in tiles {
+            let first = tile.id.first_cell();
+            let at = [first.x - frame.origin.x, first.y - frame.origin.y];
+            paste(tile.fine(), CELLS_PER_TILE as i64, &mut self.fine, frame.side as i64, at);
+            let coarse = COARSE as i64;
+            let at = at.map(|c| c.div_euclid(coarse));
+            paste(tile.coarse(), CELLS_PER_TILE as i64 / coarse, &mut self.coarse, coarse_side as i64, at);
+        }
+    }
+
+    /// Which square is shown.
+    ///
+    /// # Panics
+    /// Before the first [`MapView::show`].
+    #[must_use]
+    pub fn frame(&self) -> Frame {
+        self.frame.expect("a view is asked after it was shown")
+    }
+
+    /// Weights of cells, row-major, `side * side` and some zeros.
+    #[must_use]
+    pub fn fine(&self) -> &[u8] {
+        &self.fine
+    }
+
+    /// Weights of coarse cells, row-major, and some zeros.
+    #[must_use]
+    pub fn coarse(&self) -> &[u8] {
+        &self.coarse
+    }
+
+    /// Coarse cells along a side.
+    #[must_use]
+    pub fn coarse_side(&self) -> usize {
+        self.frame().side / COARSE
+    }
+
+    /// The tiles shown.
+    #[must_use]
+    pub fn tiles(&self) -> &[Arc<TileWeights>] {
+        &self.tiles
+    }
+
+    /// The tile below a place (map metres), if the map has it.
+    #[must_use]
+    pub fn tile_below(&self, place: [f64; 2]) -> Option<&TileWeights> {
+        let id = TileId::of(self.frame().zone, place);
+        self.tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
+    }
+
+    /// Passes over the cell of a typical hit: how many surveys the map here amounts to.
+    #[must_use]
+    pub fn typical_passes(&self) -> f64 {
+        let sum = |[a, b]: [f64; 2], tile: &Arc<TileWeights>| [a + tile.passes[0], b + tile.passes[1]];
+        mean(self.tiles.iter().fold([0.0; 2], sum))
+    }
+}
+
+fn reset(image: &mut Vec<u8>, len: usize) {
+    image.clear();
+    image.resize(len, 0);
+}
+
+/// Copies the part of a square image that lies on another one; `at` is where its first value goes.
+fn paste(from: &[u8], from_side: i64, to: &mut [u8], to_side: i64, at: [i64; 2]) {
+    let [x0, y0] = at;
+    let (left, right) = (x0.max(0), (x0 + from_side).min(to_side));
+    if left >= right {
+        return;
+    }
+    let width = (right - left) as usize;
+    for y in y0.max(0)..(y0 + from_side).min(to_side) {
+        let source = ((y - y0) * from_side + left - x0) as usize;
+        let target = (y * to_side + left) as usize;
+        to[target..target + width].copy_from_slice(&from[source..source + width]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::Cell;
+    use crate::geo::{CELL_M, Zone};
+    use crate::tile::Tile;
+
+    #[test]
+    fn every_cell_shows_its_tiles_weight() {
+        let zone = Zone::from_epsg(32614).unwrap();
+        let place = [600_010.0, 3_300_020.0];
+        let id = TileId::of(zone, place);
+        let cells = (0..2000).map(|i| (i * 131, Cell { hits: 1 + i % 7, passes: 2, ..Cell::default() }));
+        let tile = Tile::from_cells(cells.collect()).unwrap();
+        let weights = Arc::new(TileWeights::new(id, |at| (at == id).then_some(&tile)));
+        let frame = Frame::around(zone, place, 50.0, 6.0);
+        let mut view = MapView::default();
+        view.show(frame, std::slice::from_ref(&weights));
+        let first = id.first_cell();
+        for (index, value) in weights.fine().iter().enumerate() {
+            let (x, y) = (first.x + index as i64 % 512 - frame.origin.x, first.y + index as i64 / 512 - frame.origin.y);
+            let side = frame.side as i64;
+            if (0..side).contains(&x) && (0..side).contains(&y) {
+                assert_eq!(view.fine()[(y * side + x) as usize], *value);
+            }
+        }
+        let shown: u64 = view.fine().iter().map(|v| u64::from(*v)).sum();
+        assert!(shown > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
+        let [x, y] = frame.to_metres([0.0, 0.0]);
+        assert!(view.tile_below([x - CELL_M, y]).is_none() && view.tile_below(place).is_some());
+    }
+}

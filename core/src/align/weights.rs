@@ -1,0 +1,224 @@
+//! The map as weights: smoothed to the sensor's noise, logarithmic, a byte a cell.
+//!
+//! `log(1 + smoothed hits / knee)` neither saturates after a few hits, as occupancy does, nor lets
+//! one bright cell outvote a wall. Bytes keep a tile in a quarter of a megabyte and sums exact, so
+//! that every engine finds the same maximum.
+
+use crate::agreement::PointIndex;
+use crate::evidence::Cell;
+use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
+use crate::tile::Tile;
+
+/// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
+const SIGMA_M: f64 = 0.2;
+/// Smoothed hits, for each pass that a typical hit's cell has seen, at which a weight starts to grow
+/// like a logarithm: a crowd's map holds as many times the hits of a single survey's, and as many
+/// times the clutter.
+const KNEE_PER_PASS: f64 = 0.3;
+/// The kernel ends here, in sigmas.
+const REACH_SIGMAS: f64 = 3.0;
+/// Steps of a cell to which a kernel's centre is rounded.
+const PHASES: usize = 8;
+/// Bytes for a unit of the natural logarithm.
+pub const STEPS: f32 = 40.0;
+/// Cells along the side of a coarse cell.
+pub const COARSE: usize = 4;
+
+const SIDE: usize = CELLS_PER_TILE as usize;
+/// Cells beyond a tile's border whose hits still count within it.
+const HALO: i64 = (REACH_SIGMAS * SIGMA_M / CELL_M) as i64 + 1;
+
+/// One tile, ready to be aligned against; made of its hits and those just beyond its borders.
+pub struct TileWeights {
+    /// The tile.
+    pub id: TileId,
+    /// Weights, row-major.
+    fine: Box<[u8]>,
+    /// Mean weights of [`COARSE`] x [`COARSE`] cells.
+    coarse: Box<[u8]>,
+    /// The points of the tile and its borders.
+    pub points: PointIndex,
+    /// Occupied cells of the tile itself.
+    pub cells: usize,
+    /// Last UTC day anything was seen in it, counted from the Unix epoch.
+    pub newest_day: u16,
+    /// Hits weighted by the passes of their cells, and hits, of the tile itself.
+    pub passes: [f64; 2],
+}
+
+impl TileWeights {
+    /// Weighs a tile; `tile_at` gives it and its eight neighbours, where they exist.
+    #[must_use]
+    pub fn new<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
+        let empty = Tile::default();
+        let own = tile_at(id).unwrap_or(&empty);
+        let placed = around(id, &tile_at);
+        let passes = typical_passes(placed.iter().map(|(_, cell)| *cell));
+        let fine = smoothed(&placed, KNEE_PER_PASS * mean(passes));
+        let [x0, y0] = id.origin();
+        let points = PointIndex::new(placed.iter().map(|([x, y], _)| [x0 + x * CELL_M, y0 + y * CELL_M]));
+        Self {
+            id,
+            coarse: pooled(&fine),
+            fine,
+            points,
+            cells: own.len(),
+            newest_day: own.newest_day(),
+            passes: typical_passes(own.cells().iter().map(|(_, cell)| cell)),
+        }
+    }
+
+    /// Weights by row-major index, [`STEPS`] to a unit of the logarithm.
+    #[must_use]
+    pub fn fine(&self) -> &[u8] {
+        &self.fine
+    }
+
+    /// Mean weights of coarse cells.
+    #[must_use]
+    pub fn coarse(&self) -> &[u8] {
+        &self.coarse
+    }
+
+    /// Bytes held, approximately.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.fine.len() + self.coarse.len() + self.points.bytes() + size_of::<Self>()
+    }
+}
+
+/// Cells of a tile and of its neighbours' borders: mean place of the hits, in cells from the
+/// tile's south-west corner.
+fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<([f64; 2], &'a Cell)> {
+    let side = SIDE as i64;
+    let inside = -HALO..side + HALO;
+    let mut placed = Vec::new();
+    for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
+        let neighbour = TileId { y: id.y + dy, x: id.x + dx, ..id };
+        let Some(tile) = tile_at(neighbour) else { continue };
+        placed.extend(tile.cells().iter().filter_map(|(index, cell)| {
+            let x = i64::from(dx) * side + i64::from(*index) % side;
+            let y = i64::from(dy) * side + i64::from(*index) / side;
+            let [fx, fy] = cell.centroid();
+            let near = inside.contains(&x) && inside.contains(&y);
+            near.then_some(([x as f64 + fx, y as f64 + fy], cell))
+        }));
+    }
+    placed
+}
+
+/// Hits weighted by the passes of their cells, and hits.
+fn typical_passes<'a>(cells: impl Iterator<Item = &'a Cell>) -> [f64; 2] {
+    cells.fold([0.0; 2], |[weighted, hits], cell| {
+        let here = f64::from(cell.hits);
+        [weighted + here * f64::from(cell.passes), hits + here]
+    })
+}
+
+/// Passes over the cell of a typical hit, 1 without hits: how many surveys a map amounts to.
+#[must_use]
+pub fn mean([weighted, hits]: [f64; 2]) -> f64 {
+    if hits > 0.0 { weighted / hits } else { 1.0 }
+}
+
+fn smoothed(placed: &[([f64; 2], &Cell)], knee: f64) -> Box<[u8]> {
+    let side = SIDE as i64;
+    let mut sums = vec![0.0_f32; SIDE * SIDE];
+    let kernels = Kernels::new();
+    let reach = kernels.reach as i64;
+    for ([x, y], cell) in placed {
+        let (kx, ky) = (kernels.at(x.rem_euclid(1.0)), kernels.at(y.rem_euclid(1.0)));
+        let (x0, y0) = (x.floor() as i64 - reach, y.floor() as i64 - reach);
+        let columns = (-x0).max(0)..(side - x0).min(2 * reach + 1);
+        let rows = (-y0).max(0)..(side - y0).min(2 * reach + 1);
+        if columns.is_empty() {
+            continue;
+        }
+        let hits = cell.hits as f32;
+        let kx = &kx[columns.start as usize..columns.end as usize];
+        for row in rows {
+            let weight = hits * ky[row as usize];
+            let from = ((y0 + row) * side + x0 + columns.start) as usize;
+            for (sum, tap) in sums[from..from + kx.len()].iter_mut().zip(kx) {
+                *sum += weight * tap;
+            }
+        }
+    }
+    let knee = knee as f32;
+    let weight = |sum: f32| if sum > 0.0 { ((1.0 + sum / knee).ln() * STEPS).round() as u8 } else { 0 };
+    sums.into_iter().map(weight).collect()
+}
+
+/// Means of [`COARSE`] x [`COARSE`] cells, rounded up so that a trace of structure is not lost.
+fn pooled(fine: &[u8]) -> Box<[u8]> {
+    let side = SIDE / COARSE;
+    let mut sums = vec![0_u16; side * side];
+    for (index, value) in fine.iter().enumerate() {
+        sums[index / SIDE / COARSE * side + index % SIDE / COARSE] += u16::from(*value);
+    }
+    sums.into_iter().map(|sum| sum.div_ceil((COARSE * COARSE) as u16) as u8).collect()
+}
+
+/// Gaussian kernels along one axis, one for each phase of the centre within its cell.
+struct Kernels {
+    reach: usize,
+    taps: Vec<Vec<f32>>,
+}
+
+impl Kernels {
+    fn new() -> Self {
+        let sigma = SIGMA_M / CELL_M;
+        let reach = (REACH_SIGMAS * sigma).ceil() as usize;
+        let taps = (0..PHASES).map(|phase| {
+            let centre = reach as f64 + (phase as f64 + 0.5) / PHASES as f64 - 0.5;
+            let taps = (0..=2 * reach).map(|i| (-0.5 * ((i as f64 - centre) / sigma).powi(2)).exp());
+            let taps: Vec<f64> = taps.collect();
+            let sum: f64 = taps.iter().sum();
+            taps.into_iter().map(|t| (t / sum) as f32).collect()
+        });
+        Self { reach, taps: taps.collect() }
+    }
+
+    /// Taps for a centre at `fraction` of its cell.
+    fn at(&self, fraction: f64) -> &[f32] {
+        &self.taps[((fraction * PHASES as f64) as usize).min(PHASES - 1)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo::Zone;
+
+    fn id() -> TileId {
+        TileId { zone: Zone::from_epsg(32614).unwrap(), y: 100, x: 200 }
+    }
+
+    fn tile(cells: &[(u32, [u32; 2])]) -> Tile {
+        let cell =
+            |offset: [u32; 2]| Cell { hits: 4, passes: 1, offset_sum: offset.map(|o| 4 * o), ..Cell::default() };
+        Tile::from_cells(cells.iter().map(|(index, offset)| (*index, cell(*offset))).collect()).unwrap()
+    }
+
+    #[test]
+    fn the_weight_is_highest_where_the_hits_were_and_falls_off_evenly() {
+        let hit = tile(&[(30 * 512 + 20, [128, 128])]);
+        let weights = TileWeights::new(id(), |at| (at == id()).then_some(&hit));
+        let at = |x: usize, y: usize| weights.fine()[y * 512 + x];
+        assert_eq!(weights.fine().iter().max(), Some(&at(20, 30)));
+        assert_eq!((at(18, 30), at(20, 28)), (at(22, 30), at(20, 32)));
+        assert!(at(20, 30) > at(22, 30) && at(22, 30) > at(24, 30) && at(40, 30) == 0);
+        assert!(weights.coarse()[7 * 128 + 5] > 0);
+    }
+
+    #[test]
+    fn structure_on_a_border_is_smoothed_across_it() {
+        let east = TileId { x: 201, ..id() };
+        let hit = tile(&[(30 * 512, [0, 128])]);
+        let find = |at| (at == east).then_some(&hit);
+        let (west, own) = (TileWeights::new(id(), find), TileWeights::new(east, find));
+        let difference = i32::from(west.fine()[30 * 512 + 511]) - i32::from(own.fine()[30 * 512]);
+        assert!(difference.abs() <= 2 && own.fine()[30 * 512] > 0, "{difference}");
+        assert_eq!((west.cells, own.cells), (0, 1));
+    }
+}
