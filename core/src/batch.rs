@@ -99,6 +99,8 @@ pub fn for_each_kept(
 pub struct Batch {
     /// Ground metres, x forward and y left of the body at the reference time.
     pub points: Vec<[f32; 2]>,
+    /// Seconds from a point's scan to the reference time, one a point; negative when it came later.
+    pub ages_s: Vec<f32>,
     /// Detections that were given.
     pub detections: u64,
     /// Detections that were left out.
@@ -126,15 +128,17 @@ impl Batch {
         let outside = Error::ReferenceOutsideOdometry { reference_time_us };
         let reference = odometry.at(reference_time_us).ok_or(outside)?;
         let to_body = reference.inverse();
-        let mut points = Vec::with_capacity(scans.iter().map(Scan::len).sum());
-        let dropped = for_each_kept(scans, mounts, odometry, gate, 1.0, |_, point| {
+        let rows = scans.iter().map(Scan::len).sum();
+        let (mut points, mut ages_s) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+        let dropped = for_each_kept(scans, mounts, odometry, gate, 1.0, |scan, point| {
             let [x, y] = to_body.transform(point);
             points.push([x as f32, y as f32]);
+            ages_s.push(((reference_time_us - scans[scan].time_us) as f64 * 1e-6) as f32);
         })?;
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
         let (duration_s, travelled_m) = extent(scans, odometry);
         let detections = scans.iter().map(|s| s.len() as u64).sum();
-        Ok(Self { points, detections, dropped, duration_s, travelled_m, speed_mps })
+        Ok(Self { points, ages_s, detections, dropped, duration_s, travelled_m, speed_mps })
     }
 }
 
@@ -179,6 +183,10 @@ mod tests {
         for [x, y] in &batch.points {
             assert!((f64::from(*x) - (30.0 - end.x_m)).abs() < 1e-4 && (f64::from(*y) - 3.0).abs() < 1e-4);
         }
+        for (i, age_s) in batch.ages_s.iter().enumerate() {
+            assert!((age_s - (99 - i) as f32 * 0.05).abs() < 1e-6, "point {i} is {age_s} s old");
+        }
+        assert_eq!(batch.ages_s.len(), batch.points.len());
         assert!((batch.duration_s - 4.95).abs() < 1e-9 && (batch.travelled_m - 19.8).abs() < 1e-9);
         assert!((batch.speed_mps - 4.0).abs() < 1e-9);
     }
