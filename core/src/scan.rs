@@ -44,6 +44,21 @@ impl<'a> From<&'a Scan> for ScanView<'a> {
     }
 }
 
+impl ScanView<'_> {
+    /// A scan with these columns of its own, without cross sections.
+    #[must_use]
+    pub fn to_owned(self) -> Scan {
+        Scan {
+            sensor: self.sensor,
+            time_us: self.time_us,
+            range_m: self.range_m.to_vec(),
+            azimuth_rad: self.azimuth_rad.to_vec(),
+            radial_speed_mps: self.radial_speed_mps.to_vec(),
+            rcs_dbsm: Vec::new(),
+        }
+    }
+}
+
 /// Why a scan's columns cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {

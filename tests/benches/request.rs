@@ -63,7 +63,7 @@ fn organised(bencher: Bencher) {
     let batch = decode::batch(REQUEST.batch.clone(), "batch").expect("the batch is sound");
     let (gate, time_us) = (Gate::default(), batch.reference_time_us);
     bencher.counter(detections()).bench(|| {
-        Batch::organise(&batch.scans, &batch.mounts, &batch.odometry, time_us, &gate)
+        Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, time_us, &gate)
             .expect("the odometry covers the batch")
     });
 }

@@ -124,8 +124,9 @@ impl Inner {
         require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
         let gate = self.locator.config().gate();
         let reference_time_us = batch.reference_time_us;
-        let batch = Batch::organise(&batch.scans, &batch.mounts, &batch.odometry, reference_time_us, &gate)
-            .map_err(|e| Violation::new("batch.odometry", e))?;
+        let batch =
+            Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
+                .map_err(|e| Violation::new("batch.odometry", e))?;
         let question = Question {
             batch,
             at,
