@@ -54,7 +54,7 @@ where
             dropped.too_slow += rows;
             continue;
         }
-        let points = RowGate::new(gate, mount, velocity).apply(&scan, &mut points, &mut dropped);
+        let points = RowGate::new(gate, mount, velocity, &scan).apply(&scan, &mut points, &mut dropped);
         visit(KeptScan { time_us: scan.time_us, body, mount, points });
     }
     Ok(dropped)
@@ -96,17 +96,18 @@ const LANES: usize = 8;
 /// The gate for the rows of one scan.
 struct RowGate {
     max_range_m: f32x8,
-    /// Of the sensor along its own axes.
+    /// Of the sensor along its own axes; not asked for without radial speeds.
     velocity_mps: [f32x8; 2],
     max_residual_mps: f32x8,
 }
 
 impl RowGate {
-    fn new(gate: &Gate, mount: &Mount, velocity: BodyVelocity) -> Self {
+    fn new(gate: &Gate, mount: &Mount, velocity: BodyVelocity, scan: &ScanView<'_>) -> Self {
         let splat = |value: f64| f32x8::splat(value as f32);
+        let asked = !scan.radial_speed_mps.is_empty();
         Self {
             max_range_m: splat(gate.max_range_m),
-            velocity_mps: sensor_velocity(mount, velocity).map(splat),
+            velocity_mps: asked.then(|| sensor_velocity(mount, velocity).map(splat)).unwrap_or_default(),
             max_residual_mps: splat(gate.max_doppler_residual_mps),
         }
     }
