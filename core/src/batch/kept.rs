@@ -96,7 +96,7 @@ const LANES: usize = 8;
 /// The gate for the rows of one scan.
 struct RowGate {
     max_range_m: f32x8,
-    /// Of the sensor along its own axes; not asked for without radial speeds.
+    /// Of the sensor along its own axes; 0 where radial speeds are not measured.
     velocity_mps: [f32x8; 2],
     max_residual_mps: f32x8,
 }
@@ -104,10 +104,11 @@ struct RowGate {
 impl RowGate {
     fn new(gate: &Gate, mount: &Mount, velocity: BodyVelocity, scan: &ScanView<'_>) -> Self {
         let splat = |value: f64| f32x8::splat(value as f32);
-        let asked = !scan.radial_speed_mps.is_empty();
+        let measured = !scan.radial_speed_mps.is_empty();
+        let velocity_mps = if measured { sensor_velocity(mount, velocity) } else { [0.0; 2] };
         Self {
             max_range_m: splat(gate.max_range_m),
-            velocity_mps: asked.then(|| sensor_velocity(mount, velocity).map(splat)).unwrap_or_default(),
+            velocity_mps: velocity_mps.map(splat),
             max_residual_mps: splat(gate.max_doppler_residual_mps),
         }
     }

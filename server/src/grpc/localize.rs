@@ -40,6 +40,14 @@ impl LocalizationApi {
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
         Self { inner: Arc::new(Inner { locator, feed, metrics }) }
     }
+
+    /// Answers one question on this thread, from its columns to its answer.
+    ///
+    /// # Errors
+    /// The refusal, as the call would return it.
+    pub fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
+        self.inner.work(request, admitted)
+    }
 }
 
 #[tonic::async_trait]
