@@ -1,9 +1,12 @@
 //! Scans and a trajectory become points in one frame (paper, alg. fastGlobalAlign l. 4).
 
-use crate::doppler::is_mover;
+mod kept;
+
+pub use kept::{KeptScan, for_each_kept, for_each_scan};
+
 use crate::odometry::Trajectory;
 use crate::pose::Pose2;
-use crate::scan::{Gate, Mount, Scan};
+use crate::scan::{Gate, Mount, ScanView};
 
 /// Detections that were left out, by the reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -47,59 +50,12 @@ pub enum Error {
     },
 }
 
-/// Walks over the detections that pass the gate, giving each as a point in the trajectory's frame.
-///
-/// `scale` is the frame's metres per sensor metre: 1 for odometry, the grid's point scale factor
-/// for poses on the map. `visit` gets the index of the scan and the point, metres.
-///
-/// # Errors
-/// When a scan names an unknown sensor.
-pub fn for_each_kept(
-    scans: &[Scan],
-    mounts: &[Mount],
-    trajectory: &Trajectory,
-    gate: &Gate,
-    scale: f64,
-    mut visit: impl FnMut(usize, [f64; 2]),
-) -> Result<Dropped, Error> {
-    let mut dropped = Dropped::default();
-    for (index, scan) in scans.iter().enumerate() {
-        let mount = mounts.get(scan.sensor).ok_or(Error::UnknownSensor {
-            scan: index,
-            sensor: scan.sensor,
-            mounts: mounts.len(),
-        })?;
-        let rows = scan.len() as u64;
-        let (Some(body), Some(velocity)) =
-            (trajectory.at(scan.time_us), trajectory.velocity_at(scan.time_us))
-        else {
-            dropped.without_pose += rows;
-            continue;
-        };
-        if velocity.speed_mps() < gate.min_speed_mps {
-            dropped.too_slow += rows;
-            continue;
-        }
-        for row in 0..scan.len() {
-            if f64::from(scan.range_m[row]) > gate.max_range_m {
-                dropped.too_far += 1;
-            } else if is_mover(scan, row, mount, velocity, gate.max_doppler_residual_mps) {
-                dropped.moving += 1;
-            } else {
-                let [x, y] = mount.transform(scan.sensor_point(row));
-                visit(index, body.transform([scale * x, scale * y]));
-            }
-        }
-    }
-    Ok(dropped)
-}
-
 /// The points of a batch that one scan saw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// Index of its first point; the next sighting's first point ends it.
     pub first: usize,
-    /// Seconds from the scan to the reference time.
+    /// Seconds from the scan to the reference time; negative when it came later.
     pub age_s: f64,
     /// Where odometry says the body was, in the frame of the batch.
     pub body: Pose2,
@@ -129,50 +85,70 @@ impl Batch {
     ///
     /// # Errors
     /// When a scan names an unknown sensor or the odometry does not cover the reference time.
-    pub fn organise(
-        scans: &[Scan],
+    pub fn organise<'a, S>(
+        scans: S,
         mounts: &[Mount],
         odometry: &Trajectory,
         reference_time_us: i64,
         gate: &Gate,
-    ) -> Result<Self, Error> {
+    ) -> Result<Self, Error>
+    where
+        S: IntoIterator<Item: Into<ScanView<'a>>, IntoIter: Clone>,
+    {
         let outside = Error::ReferenceOutsideOdometry { reference_time_us };
-        let reference = odometry.at(reference_time_us).ok_or(outside)?;
-        let to_body = reference.inverse();
-        let mut points = Vec::with_capacity(scans.iter().map(Scan::len).sum());
-        let mut sightings: Vec<Sighting> = Vec::with_capacity(scans.len());
-        let mut newest = None;
-        let dropped = for_each_kept(scans, mounts, odometry, gate, 1.0, |scan, point| {
-            if newest != Some(scan) {
-                newest = Some(scan);
-                let time_us = scans[scan].time_us;
-                let body = odometry.at(time_us).map_or(Pose2::IDENTITY, |pose| to_body.compose(&pose));
-                let age_s = (reference_time_us - time_us) as f64 * 1e-6;
-                sightings.push(Sighting { first: points.len(), age_s, body });
+        let to_body = odometry.at(reference_time_us).ok_or(outside)?.inverse();
+        let scans = scans.into_iter().map(Into::into);
+        let Extent { rows, duration_s, travelled_m } = Extent::of(scans.clone(), odometry);
+        let (mut points, mut sightings) = (Vec::with_capacity(rows), Vec::new());
+        let dropped = for_each_scan(scans, mounts, odometry, gate, |scan| {
+            if scan.points.is_empty() {
+                return;
             }
-            let [x, y] = to_body.transform(point);
-            points.push([x as f32, y as f32]);
+            let body = to_body.compose(&scan.body);
+            let age_s = (reference_time_us - scan.time_us) as f64 * 1e-6;
+            sightings.push(Sighting { first: points.len(), age_s, body });
+            let sensor = body.compose(scan.mount);
+            let (s, c) = sensor.yaw_rad.sin_cos();
+            let [x0, y0, s, c] = [sensor.x_m, sensor.y_m, s, c].map(|v| v as f32);
+            points.extend(scan.points.iter().map(|[x, y]| [x0 + c * x - s * y, y0 + s * x + c * y]));
         })?;
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
-        let (duration_s, travelled_m) = extent(scans, odometry);
-        let detections = scans.iter().map(|s| s.len() as u64).sum();
-        Ok(Self { points, sightings, detections, dropped, duration_s, travelled_m, speed_mps })
+        Ok(Self { points, sightings, detections: rows as u64, dropped, duration_s, travelled_m, speed_mps })
     }
 }
 
-/// Seconds between the oldest and the newest scan, and metres travelled between them.
-fn extent(scans: &[Scan], odometry: &Trajectory) -> (f64, f64) {
-    let times = || scans.iter().map(|s| s.time_us);
-    let (Some(first), Some(last)) = (times().min(), times().max()) else { return (0.0, 0.0) };
-    let inside = odometry.iter().filter(|(t, _)| (first..=last).contains(t)).map(|(_, pose)| pose);
-    let way: Vec<Pose2> = odometry.at(first).into_iter().chain(inside).chain(odometry.at(last)).collect();
-    let travelled_m = way.windows(2).map(|w| w[0].distance_m(&w[1])).sum();
-    ((last - first) as f64 * 1e-6, travelled_m)
+/// How much scans hold, and how far they reach.
+struct Extent {
+    /// Detections.
+    rows: usize,
+    /// Seconds between the oldest and the newest scan.
+    duration_s: f64,
+    /// Metres travelled between them.
+    travelled_m: f64,
+}
+
+impl Extent {
+    fn of<'a>(scans: impl Iterator<Item = ScanView<'a>>, odometry: &Trajectory) -> Self {
+        let (mut rows, mut first, mut last) = (0, i64::MAX, i64::MIN);
+        for scan in scans {
+            rows += scan.range_m.len();
+            (first, last) = (first.min(scan.time_us), last.max(scan.time_us));
+        }
+        if first > last {
+            return Self { rows, duration_s: 0.0, travelled_m: 0.0 };
+        }
+        Self {
+            rows,
+            duration_s: (last - first) as f64 * 1e-6,
+            travelled_m: odometry.travelled_between_m(first, last),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scan::Scan;
 
     fn straight(speed_mps: f64) -> Trajectory {
         Trajectory::new(
@@ -200,6 +176,12 @@ mod tests {
         assert_eq!(batch.dropped, Dropped { too_far: 100, ..Dropped::default() });
         for [x, y] in &batch.points {
             assert!((f64::from(*x) - (30.0 - end.x_m)).abs() < 1e-4 && (f64::from(*y) - 3.0).abs() < 1e-4);
+        }
+        assert_eq!(batch.sightings.len(), 100);
+        for (i, seen) in batch.sightings.iter().enumerate() {
+            assert_eq!(seen.first, i);
+            assert!((seen.age_s - (99 - i) as f64 * 0.05).abs() < 1e-9, "{seen:?}");
+            assert!((seen.body.x_m + 4.0 * seen.age_s).abs() < 1e-9, "{seen:?}");
         }
         assert!((batch.duration_s - 4.95).abs() < 1e-9 && (batch.travelled_m - 19.8).abs() < 1e-9);
         assert!((batch.speed_mps - 4.0).abs() < 1e-9);

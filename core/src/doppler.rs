@@ -10,11 +10,19 @@ use crate::scan::{Mount, Scan};
 /// counter-clockwise from the boresight.
 #[must_use]
 pub fn static_radial_speed(mount: &Mount, v: BodyVelocity, azimuth_rad: f64) -> f64 {
+    let [vx, vy] = sensor_velocity(mount, v);
+    let (s, c) = azimuth_rad.sin_cos();
+    -(vx * c + vy * s)
+}
+
+/// Velocity of a sensor along its own axes (boresight, left of it), metres per second.
+#[must_use]
+pub fn sensor_velocity(mount: &Mount, v: BodyVelocity) -> [f64; 2] {
     // The lever arm turns the yaw rate into a velocity of the sensor.
     let vx = v.forward_mps - v.yaw_rate_radps * mount.y_m;
     let vy = v.left_mps + v.yaw_rate_radps * mount.x_m;
-    let (s, c) = (mount.yaw_rad + azimuth_rad).sin_cos();
-    -(vx * c + vy * s)
+    let (s, c) = mount.yaw_rad.sin_cos();
+    [c * vx + s * vy, c * vy - s * vx]
 }
 
 /// True when row `row` shows a radial speed that no stationary target would; false when the scan

@@ -34,7 +34,9 @@ impl Trajectory {
     /// # Errors
     /// When times do not increase strictly or a pose is not finite.
     pub fn new(poses: impl IntoIterator<Item = (i64, Pose2)>) -> Result<Self, Error> {
-        let mut trajectory = Self::default();
+        let poses = poses.into_iter();
+        let least = poses.size_hint().0;
+        let mut trajectory = Self { time_us: Vec::with_capacity(least), pose: Vec::with_capacity(least) };
         for (time_us, pose) in poses {
             trajectory.push(time_us, pose)?;
         }
@@ -134,6 +136,17 @@ impl Trajectory {
     #[must_use]
     pub fn travelled_m(&self) -> f64 {
         self.pose.windows(2).map(|w| w[0].distance_m(&w[1])).sum()
+    }
+
+    /// Length of the way between two times, metres; what lies outside the trajectory adds nothing.
+    #[must_use]
+    pub fn travelled_between_m(&self, from_us: i64, to_us: i64) -> f64 {
+        let inside =
+            self.time_us.partition_point(|t| *t < from_us)..self.time_us.partition_point(|t| *t <= to_us);
+        let poses = self.pose.get(inside).unwrap_or_default().iter().copied();
+        let mut way = self.at(from_us).into_iter().chain(poses).chain(self.at(to_us));
+        let Some(mut here) = way.next() else { return 0.0 };
+        way.map(|next| std::mem::replace(&mut here, next).distance_m(&next)).sum()
     }
 }
 

@@ -21,6 +21,44 @@ pub struct Scan {
     pub rcs_dbsm: Vec<f32>,
 }
 
+/// A scan whose columns belong to somebody else: rows of longer columns, or a [`Scan`].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ScanView<'a> {
+    /// Index into the vehicle's list of sensor mounts.
+    pub sensor: usize,
+    /// Time of the scan, microseconds since the Unix epoch (UTC).
+    pub time_us: i64,
+    /// Range, metres.
+    pub range_m: &'a [f32],
+    /// Azimuth, radians, counter-clockwise from the sensor's boresight; as long as `range_m`.
+    pub azimuth_rad: &'a [f32],
+    /// Radial speed relative to the sensor, metres per second, positive away from it; as long, or
+    /// empty when it is not measured.
+    pub radial_speed_mps: &'a [f32],
+}
+
+impl<'a> From<&'a Scan> for ScanView<'a> {
+    fn from(scan: &'a Scan) -> Self {
+        let Scan { sensor, time_us, range_m, azimuth_rad, radial_speed_mps, .. } = scan;
+        Self { sensor: *sensor, time_us: *time_us, range_m, azimuth_rad, radial_speed_mps }
+    }
+}
+
+impl ScanView<'_> {
+    /// A scan with these columns of its own, without cross sections.
+    #[must_use]
+    pub fn to_owned(self) -> Scan {
+        Scan {
+            sensor: self.sensor,
+            time_us: self.time_us,
+            range_m: self.range_m.to_vec(),
+            azimuth_rad: self.azimuth_rad.to_vec(),
+            radial_speed_mps: self.radial_speed_mps.to_vec(),
+            rcs_dbsm: Vec::new(),
+        }
+    }
+}
+
 /// Why a scan's columns cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
@@ -89,11 +127,11 @@ impl Scan {
             if found != expected && (required || found != 0) {
                 return Err(Error::ColumnLength { column, found, expected });
             }
-            if let Some(row) = values.iter().position(|v| !v.is_finite()) {
+            if let Some(row) = first_row(values, |v| !v.is_finite()) {
                 return Err(Error::NotFinite { column, row });
             }
         }
-        match self.range_m.iter().position(|r| *r < 0.0) {
+        match first_row(&self.range_m, |r| r < 0.0) {
             Some(row) => Err(Error::NegativeRange { row }),
             None => Ok(()),
         }
@@ -111,6 +149,13 @@ impl Scan {
         filter(&mut self.radial_speed_mps);
         filter(&mut self.rcs_dbsm);
     }
+}
+
+/// The first row for which `wrong` holds.
+pub fn first_row(column: &[f32], wrong: impl Fn(f32) -> bool) -> Option<usize> {
+    // Columns are nearly always right, and a loop that does not stop early is many times faster.
+    let any = column.iter().fold(false, |any, value| any | wrong(*value));
+    if any { column.iter().position(|value| wrong(*value)) } else { None }
 }
 
 /// Where a radar sits on the body: metres from the body's origin, boresight yaw from forward.

@@ -3,15 +3,19 @@
 //! - [`commands`]: one file a subcommand.
 //! - [`contribute`]: a drive goes to the map, through the vehicle's own recorder and spool.
 //! - [`fixes`]: a drive asks where it is, and the answers are compared with the truth.
+//! - [`service`]: the service as a process of its own.
+//! - [`bench`]: what a fix costs on this machine.
 //! - [`statistics`]: percentiles and the table beside the paper's figures.
 //! - [`progress`]: bars for people, silence for machines.
 
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
 
+mod bench;
 mod commands;
 mod contribute;
 mod fixes;
 mod progress;
+mod service;
 mod statistics;
 
 use std::process::ExitCode;
@@ -35,6 +39,8 @@ enum Command {
     Demo(commands::demo::Args),
     /// Run the service: gRPC for vehicles, HTTP for operators.
     Serve(echofix_server::args::ServeArgs),
+    /// Measure on this machine what a fix costs: the whole service, its steps, its engines.
+    Bench(commands::bench::Args),
     /// Write the drive log of a simulated vehicle.
     Simulate(commands::simulate::Args),
     /// Turn foreign radar data into a drive log.
@@ -66,6 +72,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Import(args) => commands::import::run(&args, json),
         Command::Status(args) => commands::status::run(&args, json),
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
+        Command::Bench(args) => in_runtime(commands::bench::run(args, json)),
         Command::Map(args) => in_runtime(commands::map::run(args, json)),
         Command::Localize(args) => in_runtime(commands::localize::run(args, json)),
     }

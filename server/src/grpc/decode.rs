@@ -5,8 +5,12 @@ use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
-use echofix_core::scan::{self, Mount, Scan};
+use echofix_core::scan::Mount;
 use echofix_proto::v1;
+
+mod scans;
+
+pub use scans::{Scans, scans};
 
 pub use super::violation::Violation;
 use super::violation::{require, required};
@@ -34,7 +38,7 @@ pub struct Batch {
     /// The radars.
     pub mounts: Vec<Mount>,
     /// Scans, as they came.
-    pub scans: Vec<Scan>,
+    pub scans: Scans,
     /// Odometry.
     pub odometry: Trajectory,
 }
@@ -50,7 +54,7 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<Batch, Violation> 
     let mounts = self::mounts(&mounts, &at("mounts"))?;
     let columns = required(columns, &at("scans"))?;
     let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
-    let odometry = odometry(&required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
+    let odometry = odometry(required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
     Ok(Batch { reference_time_us, mounts, scans, odometry })
 }
 
@@ -59,8 +63,13 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<Batch, Violation> 
 /// # Errors
 /// When it lies before 1970 or after 2149.
 pub fn reference_time(time_us: i64, field: &str) -> Result<(), Violation> {
-    let told = (0..END_OF_TIME_US).contains(&time_us);
-    require(told, field, "must be microseconds since 1970, before the year 2149")
+    require(told(time_us), field, UNTOLD)
+}
+
+const UNTOLD: &str = "must be microseconds since 1970, before the year 2149";
+
+fn told(time_us: i64) -> bool {
+    (0..END_OF_TIME_US).contains(&time_us)
 }
 
 /// The radars of a vehicle.
@@ -79,90 +88,20 @@ pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Vio
     Ok(mounts.iter().map(mount).collect())
 }
 
-/// Scans out of their columns, in the order they came, without those that hold no detection.
-/// `mounts` is the number of radars.
-///
-/// # Errors
-/// The first column that breaks a rule.
-pub fn scans(
-    columns: v1::Scans,
-    reference_time_us: i64,
-    mounts: usize,
-    field: &str,
-) -> Result<Vec<Scan>, Violation> {
-    let at = |name: &str| format!("{field}.{name}");
-    let v1::Scans { sensor, time_offset_us, detection_count, range_m, .. } = columns;
-    let (azimuth_rad, radial_speed_mps) = (columns.azimuth_rad, columns.radial_speed_mps);
-    require(!sensor.is_empty(), &at("sensor"), "is empty; send at least one scan")?;
-    limit(sensor.len(), MAX_SCANS, &at("sensor"))?;
-    same_length(time_offset_us.len(), sensor.len(), &at("time_offset_us"), "sensor")?;
-    same_length(detection_count.len(), sensor.len(), &at("detection_count"), "sensor")?;
-    if let Some(row) = sensor.iter().position(|sensor| *sensor as usize >= mounts) {
-        let described = format!("names sensor {}, but {mounts} are mounted", sensor[row]);
-        return Err(Violation::new(format!("{}[{row}]", at("sensor")), described));
-    }
-    let counted: u64 = detection_count.iter().map(|count| u64::from(*count)).sum();
-    if counted != range_m.len() as u64 {
-        let described = format!("adds up to {counted}, but `range_m` has {} values", range_m.len());
-        return Err(Violation::new(at("detection_count"), described));
-    }
-    let times = times(&time_offset_us, reference_time_us, &at("time_offset_us"))?;
-    let rcs_dbsm = columns.rcs_dbsm;
-    let all = Scan { range_m, azimuth_rad, radial_speed_mps, rcs_dbsm, ..Scan::default() };
-    all.validate().map_err(|error| Violation::new(at(column(&error)), error))?;
-    if let Some(row) = all.azimuth_rad.iter().position(|azimuth| !angle(f64::from(*azimuth))) {
-        return Err(Violation::new(format!("{}[{row}]", at("azimuth_rad")), "is not an angle in radians"));
-    }
-    Ok(split(&all, &sensor, &times, &detection_count))
-}
-
-/// Each scan with its own rows of the detection columns. Those without any tell nothing and are left
-/// out: a few bytes on the wire would otherwise become a hundred in memory.
-fn split(all: &Scan, sensor: &[u32], times_us: &[i64], counts: &[u32]) -> Vec<Scan> {
-    let mut start = 0;
-    let scan = |((sensor, time_us), count): ((&u32, &i64), &u32)| {
-        let rows = start..start + *count as usize;
-        start = rows.end;
-        // The optional columns may be empty.
-        let cut = |column: &[f32]| column.get(rows.clone()).unwrap_or_default().to_vec();
-        (*count > 0).then(|| Scan {
-            sensor: *sensor as usize,
-            time_us: *time_us,
-            range_m: cut(&all.range_m),
-            azimuth_rad: cut(&all.azimuth_rad),
-            radial_speed_mps: cut(&all.radial_speed_mps),
-            rcs_dbsm: cut(&all.rcs_dbsm),
-        })
-    };
-    sensor.iter().zip(times_us).zip(counts).filter_map(scan).collect()
-}
-
-/// The column a scan's error is about.
-fn column(error: &scan::Error) -> &'static str {
-    match error {
-        scan::Error::ColumnLength { column, .. } | scan::Error::NotFinite { column, .. } => column,
-        scan::Error::NegativeRange { .. } => "range_m",
-    }
-}
-
 /// The vehicle's way in its odometry frame.
 ///
 /// # Errors
 /// The first column that breaks a rule.
-pub fn odometry(
-    columns: &v1::Odometry,
-    reference_time_us: i64,
-    field: &str,
-) -> Result<Trajectory, Violation> {
+pub fn odometry(columns: v1::Odometry, reference_time_us: i64, field: &str) -> Result<Trajectory, Violation> {
     let at = |name: &str| format!("{field}.{name}");
     let v1::Odometry { time_offset_us, x_m, y_m, yaw_rad } = columns;
     limit(time_offset_us.len(), MAX_POSES, &at("time_offset_us"))?;
-    for (name, column) in [("x_m", x_m), ("y_m", y_m), ("yaw_rad", yaw_rad)] {
+    for (name, column) in [("x_m", &x_m), ("y_m", &y_m), ("yaw_rad", &yaw_rad)] {
         same_length(column.len(), time_offset_us.len(), &at(name), "time_offset_us")?;
         bounded(column, if name == "yaw_rad" { MAX_ANGLE_RAD } else { MAX_ODOMETRY_M }, &at(name))?;
     }
     let times = times(time_offset_us, reference_time_us, &at("time_offset_us"))?;
-    let poses = x_m.iter().zip(y_m).zip(yaw_rad).map(|((x, y), yaw)| Pose2::new(*x, *y, *yaw));
+    let poses = x_m.iter().zip(&y_m).zip(&yaw_rad).map(|((x, y), yaw)| Pose2::new(*x, *y, *yaw));
     Trajectory::new(times.into_iter().zip(poses)).map_err(|error| match error {
         odometry::Error::NotIncreasing { .. } => Violation::new(at("time_offset_us"), error),
         odometry::Error::NotFinite { .. } => Violation::new(field, error),
@@ -197,7 +136,7 @@ pub fn geo_poses(
             return Err(Violation::new(format!("{}[{row}]", at(name)), "must be finite and not negative"));
         }
     }
-    let times = times(&columns.time_offset_us, reference_time_us, &at("time_offset_us"))?;
+    let times = times(columns.time_offset_us.clone(), reference_time_us, &at("time_offset_us"))?;
     if let Some(row) = times.windows(2).position(|pair| pair[1] <= pair[0]) {
         let field = format!("{}[{}]", at("time_offset_us"), row + 1);
         return Err(Violation::new(field, "does not come after the one before; send poses in order of time"));
@@ -237,13 +176,15 @@ pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, Violat
     Ok(LatLon { lat_deg, lon_deg })
 }
 
-/// Offsets as microseconds since the Unix epoch.
-fn times(offsets_us: &[i64], reference_time_us: i64, field: &str) -> Result<Vec<i64>, Violation> {
-    let time = |(row, offset): (usize, &i64)| {
-        let time_us = reference_time_us.checked_add(*offset).unwrap_or(-1);
-        reference_time(time_us, &format!("{field}[{row}]")).map(|()| time_us)
-    };
-    offsets_us.iter().enumerate().map(time).collect()
+/// Offsets become microseconds since the Unix epoch.
+fn times(mut offsets_us: Vec<i64>, reference_time_us: i64, field: &str) -> Result<Vec<i64>, Violation> {
+    for (row, offset_us) in offsets_us.iter_mut().enumerate() {
+        *offset_us = reference_time_us.checked_add(*offset_us).unwrap_or(-1);
+        if !told(*offset_us) {
+            return Err(Violation::new(format!("{field}[{row}]"), UNTOLD));
+        }
+    }
+    Ok(offsets_us)
 }
 
 fn angle(rad: f64) -> bool {

@@ -40,6 +40,14 @@ impl LocalizationApi {
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
         Self { inner: Arc::new(Inner { locator, feed, metrics }) }
     }
+
+    /// Answers one question on this thread, from its columns to its answer.
+    ///
+    /// # Errors
+    /// The refusal, as the call would return it.
+    pub fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
+        self.inner.work(request, admitted)
+    }
 }
 
 #[tonic::async_trait]
@@ -124,8 +132,9 @@ impl Inner {
         require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
         let gate = self.locator.config().gate();
         let reference_time_us = batch.reference_time_us;
-        let batch = Batch::organise(&batch.scans, &batch.mounts, &batch.odometry, reference_time_us, &gate)
-            .map_err(|e| Violation::new("batch.odometry", e))?;
+        let batch =
+            Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
+                .map_err(|e| Violation::new("batch.odometry", e))?;
         let question = Question {
             batch,
             at,

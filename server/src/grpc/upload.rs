@@ -120,7 +120,9 @@ impl MappingApi {
             same_day(&scans.time_offset_us, "chunk.scans.time_offset_us").map_err(invalid)?;
             received.submission.chunks.push(Chunk {
                 poses: decode::geo_poses(&poses, reference_time_us, "chunk.poses").map_err(invalid)?,
-                scans: decode::scans(scans, reference_time_us, mounts, "chunk.scans").map_err(invalid)?,
+                scans: decode::scans(scans, reference_time_us, mounts, "chunk.scans")
+                    .map_err(invalid)?
+                    .split(),
             });
         }
         require(!received.submission.chunks.is_empty(), "chunk", "is missing; send at least one")

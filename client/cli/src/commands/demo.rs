@@ -4,23 +4,21 @@
 //! the vehicle library's spool, the localizing vehicle asks over a socket.
 
 mod report;
-mod service;
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use echofix_client::upload::Config as RecorderConfig;
 use echofix_core::drive::Drive;
 use echofix_sim::{City, CityParams, Route};
-use serde_json::Value;
 
-use super::{localize, simulate, status};
+use super::{localize, simulate};
 use crate::fixes::{self, Plan, Summary};
+use crate::service::Service;
 use crate::{contribute, progress};
 use report::Report;
-use service::Service;
 
 /// Arguments of `echofix demo`.
 #[derive(clap::Args)]
@@ -49,7 +47,7 @@ const DAYS_LATER: u32 = 3;
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let began = Instant::now();
     let folder = tempfile::tempdir().context("making a folder for the demo's map")?;
-    let service = Service::start(folder.path()).await?;
+    let service = Service::start(folder.path(), &[]).await?;
     let city = City::generate(&CityParams { seed: args.seed, ..CityParams::default() })?;
     say(
         json,
@@ -61,7 +59,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     );
     say(json, &format!("The console: {}", service.http));
     let mapped = map(&args, &city, &service, folder.path(), json).await?;
-    let map = settled(&service.http).await?;
+    let map = service.settled().await?;
     let summary = localize(&args, &city, &service, json).await?;
     let report =
         Report { city: &city, args: &args, mapped, map, summary, seconds: began.elapsed().as_secs_f64() };
@@ -126,22 +124,6 @@ fn simulated(
         let city = City::generate(&params)?;
         simulate::drive(&city, day, &Route::survey(&city, seed), vehicle, seed)
     })
-}
-
-/// Waits until the map shows everything that was uploaded, and returns its figures.
-async fn settled(http: &str) -> anyhow::Result<Value> {
-    let deadline = Instant::now() + Duration::from_mins(2);
-    loop {
-        let http = http.to_owned();
-        let map = tokio::task::spawn_blocking(move || status::get(&http, "/api/v1/map")).await??;
-        if map["epoch"] == map["journaled"] {
-            return Ok(map);
-        }
-        if Instant::now() > deadline {
-            bail!("the service has not folded the uploads into its map within two minutes: {map}");
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
 }
 
 /// Another vehicle drives on another day and asks where it is.

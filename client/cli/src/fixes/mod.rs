@@ -12,7 +12,9 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use echofix_client::Localizer;
 use echofix_client::refusal::CallError;
+use echofix_client::vehicle::Question;
 use echofix_core::drive::Drive;
+use echofix_proto::v1::LocalizeResponse;
 use indicatif::ProgressBar;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -55,46 +57,83 @@ pub struct Replay {
     pub left_out: LeftOut,
 }
 
-/// Drives the log through a [`Vehicle`](echofix_client::vehicle::Vehicle) and asks as planned, each time from priors drawn around the
-/// truth.
+/// The questions of a drive, and the truth to compare the answers with.
+pub struct Recording {
+    truth: Truth,
+    questions: Questions,
+}
+
+impl Recording {
+    /// Drives the log through a [`Vehicle`](echofix_client::vehicle::Vehicle) and notes what it would ask as planned, each
+    /// time from priors drawn around the truth.
+    ///
+    /// # Errors
+    /// When the truth is not known, the log does not fit together, or there is nothing to ask with.
+    pub fn of(drive: &Drive, plan: &Plan) -> anyhow::Result<Self> {
+        let truth = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
+        let Some(truth) = Truth::new(truth)? else {
+            bail!(
+                "the drive of `{}` has neither truth nor reference poses to draw priors around",
+                drive.vehicle
+            );
+        };
+        let questions = questions(drive, &truth, plan)?;
+        if questions.asked.is_empty() {
+            bail!("the drive of `{}` holds no batch to ask with: {:?}", drive.vehicle, questions.not_asked);
+        }
+        Ok(Self { truth, questions })
+    }
+
+    /// Number of questions, at least one.
+    pub fn len(&self) -> usize {
+        self.questions.asked.len()
+    }
+
+    /// A question, in order of time.
+    pub fn question(&self, index: usize) -> &Question {
+        &self.questions.asked[index].0
+    }
+
+    /// What came of a question.
+    pub fn fix(&self, index: usize, answer: Result<LocalizeResponse, CallError>, round_trip_ms: f64) -> Fix {
+        let (question, true_pose) = &self.questions.asked[index];
+        record::record(question, &self.truth, true_pose, answer, round_trip_ms)
+    }
+}
+
+/// Asks all that a drive has to ask.
 ///
 /// # Errors
-/// When the truth is not known, the log does not fit together, or the service is out of reach.
+/// When there is nothing to ask, or the service is out of reach.
 pub async fn ask(
     drive: &Drive,
     localizer: &Localizer,
     plan: &Plan,
     bar: &ProgressBar,
 ) -> anyhow::Result<Replay> {
-    let truth = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
-    let Some(truth) = Truth::new(truth)? else {
-        bail!("the drive of `{}` has neither truth nor reference poses to draw priors around", drive.vehicle);
-    };
-    let Questions { asked: questions, not_asked, left_out } = questions(drive, &truth, plan)?;
-    if questions.is_empty() {
-        bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}", drive.vehicle);
-    }
-    bar.inc_length(questions.len() as u64);
+    let recording = Arc::new(Recording::of(drive, plan)?);
+    bar.inc_length(recording.len() as u64);
     let places = Arc::new(Semaphore::new(plan.at_once));
     let mut asked = JoinSet::new();
-    for (index, (question, true_pose)) in questions.into_iter().enumerate() {
-        let (localizer, places) = (localizer.clone(), Arc::clone(&places));
+    for index in 0..recording.len() {
+        let (localizer, places, recording) = (localizer.clone(), Arc::clone(&places), Arc::clone(&recording));
         asked.spawn(async move {
             let _place = places.acquire_owned().await;
             let from = Instant::now();
-            let answer = localizer.ask(&question).await;
-            (index, question, true_pose, answer, from.elapsed().as_secs_f64() * 1e3)
+            let answer = localizer.ask(recording.question(index)).await;
+            (index, answer, from.elapsed().as_secs_f64() * 1e3)
         });
     }
     let mut fixes = BTreeMap::new();
     while let Some(done) = asked.join_next().await {
-        let (index, question, true_pose, answer, round_trip_ms) = done.context("a question broke down")?;
+        let (index, answer, round_trip_ms) = done.context("a question broke down")?;
         if let Err(CallError::Unavailable { .. }) = &answer {
             answer.context("the service is out of reach")?;
             continue;
         }
-        fixes.insert(index, record::record(&question, &truth, &true_pose, answer, round_trip_ms));
+        fixes.insert(index, recording.fix(index, answer, round_trip_ms));
         bar.inc(1);
     }
-    Ok(Replay { fixes: fixes.into_values().collect(), not_asked, left_out })
+    let Questions { not_asked, left_out, .. } = &recording.questions;
+    Ok(Replay { fixes: fixes.into_values().collect(), not_asked: not_asked.clone(), left_out: *left_out })
 }

@@ -3,9 +3,9 @@
 use echofix_sim::City;
 use serde_json::Value;
 
-use super::service::Service;
 use super::{Args, Mapped};
 use crate::fixes::Summary;
+use crate::service::Service;
 use crate::statistics::{PAPER_95, Percentiles};
 
 /// What the demo measured.

@@ -6,26 +6,35 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use serde_json::Value;
+
+use crate::commands::status;
 use tokio::process::{Child, Command};
 
 /// The service as a process of its own.
-pub(super) struct Service {
+pub struct Service {
     process: Child,
     /// Address of its gRPC port.
-    pub(super) grpc: String,
+    pub grpc: String,
     /// Address of its HTTP port.
-    pub(super) http: String,
+    pub http: String,
 }
 
 impl Service {
-    pub(super) async fn start(folder: &Path) -> anyhow::Result<Self> {
+    /// Starts it on free ports, with its data and its log in a folder and some keys set.
+    ///
+    /// # Errors
+    /// When it does not come up; its log is in the error.
+    pub async fn start(folder: &Path, settings: &[String]) -> anyhow::Result<Self> {
         let addresses = folder.join("addresses.json");
+        // One of an earlier service would be taken for this one's.
+        let _ = std::fs::remove_file(&addresses);
         let process = Command::new(std::env::current_exe()?)
             .arg("serve")
             .args(["--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--data-dir"])
             .arg(folder.join("data"))
             .arg("--addr-file")
             .arg(&addresses)
+            .args(settings.iter().flat_map(|setting| ["--set", setting]))
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(std::fs::File::create(folder.join("service.log"))?)
@@ -56,7 +65,35 @@ impl Service {
         }
     }
 
-    pub(super) async fn stop(mut self) -> anyhow::Result<()> {
+    /// Its process id, as long as it runs.
+    pub fn pid(&self) -> Option<u32> {
+        self.process.id()
+    }
+
+    /// Waits until the map shows everything that was uploaded, and returns its figures.
+    ///
+    /// # Errors
+    /// When that takes longer than two minutes.
+    pub async fn settled(&self) -> anyhow::Result<Value> {
+        let deadline = Instant::now() + Duration::from_mins(2);
+        loop {
+            let http = self.http.clone();
+            let map = tokio::task::spawn_blocking(move || status::get(&http, "/api/v1/map")).await??;
+            if map["epoch"] == map["journaled"] {
+                return Ok(map);
+            }
+            if Instant::now() > deadline {
+                bail!("the service has not folded the uploads into its map within two minutes: {map}");
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    }
+
+    /// Ends it at once.
+    ///
+    /// # Errors
+    /// When it cannot be ended.
+    pub async fn stop(mut self) -> anyhow::Result<()> {
         self.process.kill().await.context("stopping the service")
     }
 }

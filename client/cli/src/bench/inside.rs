@@ -1,0 +1,166 @@
+//! The same map and requests without sockets: where the time of one request goes.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, anyhow};
+use echofix_core::align::fft::Plans;
+use echofix_core::align::{PreparedMap, Prior};
+use echofix_core::batch::Batch;
+use echofix_core::geo::{Grid, LatLon};
+use echofix_core::window::{Frame, Window};
+use echofix_proto::v1::LocalizeRequest;
+use echofix_server::config::{Config, Sources};
+use echofix_server::grpc::{LocalizationApi, decode};
+use echofix_server::locating::Locator;
+use echofix_server::store::{EmbeddedStore, MapStore, Options};
+use prost::Message;
+use serde::Serialize;
+
+use super::engines::Case;
+use super::town::Town;
+use crate::statistics::Percentiles;
+
+/// Questions that engines and steps are timed on.
+const TIMED: usize = 8;
+
+/// Milliseconds of one request's steps, on one thread.
+#[derive(Debug, Clone, Serialize)]
+pub struct Inside {
+    /// In order, with what they are.
+    pub steps: Vec<(&'static str, Percentiles)>,
+    /// All of it.
+    pub total_ms: Percentiles,
+}
+
+/// The service's map and parts, in this process.
+pub(super) struct Scene {
+    store: Arc<dyn MapStore>,
+    config: Config,
+    locator: Arc<Locator>,
+    api: LocalizationApi,
+    requests: Vec<LocalizeRequest>,
+}
+
+impl Scene {
+    /// Opens the map that lies in a folder; no service may run on it.
+    ///
+    /// # Errors
+    /// When the map does not open.
+    pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
+        let config = Config::load(&Sources::default())?;
+        let options = Options {
+            data_dir: folder.join("data"),
+            cache_bytes: config.store.cache_mib << 20,
+            segment_bytes: config.store.segment_mib << 20,
+        };
+        let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
+        let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));
+        let api = LocalizationApi::new(Arc::clone(&locator), Arc::default(), Arc::default());
+        let apart = town.recording.len().div_ceil(TIMED);
+        let asked = (0..town.recording.len()).step_by(apart);
+        let requests = asked.map(|index| town.recording.question(index).request.clone()).collect();
+        Ok(Self { store, config, locator, api, requests })
+    }
+
+    /// Detections of the median request.
+    pub(super) fn detections(&self) -> usize {
+        let scans = |request: &LocalizeRequest| Some(request.batch.as_ref()?.scans.as_ref()?.range_m.len());
+        let mut counts: Vec<_> = self.requests.iter().filter_map(scans).collect();
+        counts.sort_unstable();
+        counts.get(counts.len() / 2).copied().unwrap_or_default()
+    }
+
+    /// Times the steps of every request, so many times.
+    ///
+    /// # Errors
+    /// When a request is refused.
+    pub(super) async fn profile(&self, repetitions: usize) -> anyhow::Result<Inside> {
+        const STEPS: [&str; 7] = [
+            "protobuf to columns",
+            "columns checked",
+            "scans organised",
+            "window from the cache",
+            "aligned",
+            "answer, metrics, feed",
+            "answer to protobuf",
+        ];
+        let mut times = Vec::new();
+        for request in &self.requests {
+            let bytes = request.encode_to_vec();
+            // The first time fills the cache.
+            self.steps(&bytes).await?;
+            for _ in 0..repetitions {
+                times.push(self.steps(&bytes).await?);
+            }
+        }
+        let percentiles = |of: &dyn Fn(&[f64; 7]) -> f64| {
+            Percentiles::of(times.iter().map(of)).context("there is nothing to time")
+        };
+        let steps = STEPS.iter().enumerate().map(|(i, step)| Ok((*step, percentiles(&|times| times[i])?)));
+        let steps = steps.collect::<anyhow::Result<_>>()?;
+        Ok(Inside { steps, total_ms: percentiles(&|times| times.iter().sum())? })
+    }
+
+    /// Milliseconds of each step of one request.
+    async fn steps(&self, bytes: &[u8]) -> anyhow::Result<[f64; 7]> {
+        let (decoded_ms, request) = timed(|| LocalizeRequest::decode(bytes));
+        let request = request?;
+        let batch = request.batch.clone();
+        let (checked_ms, batch) = timed(|| decode::batch(batch, "batch"));
+        let (organised_ms, batch) = timed(|| self.organised(&batch?));
+        batch?;
+        let admitted = self.locator.admit().await?;
+        let (work_ms, answer) = timed(|| self.api.work(request, admitted));
+        let answer = answer.map_err(|status| anyhow!("a request was refused: {}", status.message()))?;
+        let diagnostics = answer.diagnostics.unwrap_or_default();
+        let (encoded_ms, _) = timed(|| answer.encode_to_vec());
+        let (window_ms, align_ms) = (diagnostics.window_ms, diagnostics.align_ms);
+        let rest_ms = work_ms - checked_ms - organised_ms - window_ms - align_ms;
+        Ok([decoded_ms, checked_ms, organised_ms, window_ms, align_ms, rest_ms.max(0.0), encoded_ms])
+    }
+
+    fn organised(&self, batch: &decode::Batch) -> anyhow::Result<Batch> {
+        let decode::Batch { reference_time_us, mounts, scans, odometry } = batch;
+        let gate = self.config.locating.gate();
+        Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
+    }
+
+    /// What the engines are timed on.
+    ///
+    /// # Errors
+    /// When a request is malformed or the map cannot be read.
+    pub(super) fn cases(&self) -> anyhow::Result<Vec<Case>> {
+        self.requests.iter().map(|request| self.case(request)).collect()
+    }
+
+    fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
+        let batch = self.organised(&decode::batch(request.batch.clone(), "batch")?)?;
+        let believed = request.prior.unwrap_or_default();
+        let pose = believed.pose.unwrap_or_default();
+        let at = LatLon { lat_deg: pose.latitude_deg, lon_deg: pose.longitude_deg };
+        let (grid, search) = (Grid::of(at)?, self.config.locating.search());
+        let prior = Prior {
+            pose: grid.pose_from_geodetic(at, pose.yaw_rad)?,
+            sigma_position_m: believed.sigma_position_m,
+            sigma_yaw_rad: believed.sigma_yaw_rad,
+            scale: grid.scale_factor(at)?,
+        };
+        let reach_m = search.sigmas * prior.sigma_position_m;
+        let frame = Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
+        let mut tiles = Vec::new();
+        for id in frame.tiles() {
+            tiles.extend(self.store.tile(id)?.map(|stored| (id, stored.tile)));
+        }
+        let window = Window::stitch(frame, tiles.iter().map(|(id, tile)| (*id, &**tile)));
+        let map = PreparedMap::new(window, Arc::new(Plans::new(frame.side)), &search);
+        Ok(Case { map, batch, prior, search, integrity: self.config.locating.integrity() })
+    }
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
+    let from = Instant::now();
+    let done = work();
+    (from.elapsed().as_secs_f64() * 1e3, done)
+}

@@ -1,0 +1,81 @@
+//! What it all ran on, and what a process used of it (Linux; elsewhere unknown).
+
+use std::fs;
+use std::time::Duration;
+
+use serde::Serialize;
+
+/// The machine.
+#[derive(Debug, Clone, Serialize)]
+pub struct Machine {
+    /// Its processor, in the words of its maker.
+    pub processor: String,
+    /// Cores that may be used.
+    pub cores: usize,
+    /// Memory, GiB.
+    pub memory_gib: f64,
+}
+
+impl Machine {
+    /// This one.
+    pub fn here() -> Self {
+        let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
+        Self {
+            processor: value_of(&processors, "model name").unwrap_or("unknown").to_owned(),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            memory_gib: kibibytes(&memory, "MemTotal").unwrap_or(0) as f64 / f64::from(1 << 20),
+        }
+    }
+}
+
+/// Processor time a process used so far, to a hundredth of a second.
+pub fn used_by(process: u32) -> Option<Duration> {
+    used(&fs::read_to_string(format!("/proc/{process}/stat")).ok()?)
+}
+
+/// Memory a process holds, KiB.
+pub fn held_by(process: u32) -> Option<u64> {
+    kibibytes(&fs::read_to_string(format!("/proc/{process}/status")).ok()?, "VmRSS")
+}
+
+/// User and system time of `/proc/PID/stat` (`proc_pid_stat(5)`, fields 14 and 15).
+fn used(stat: &str) -> Option<Duration> {
+    /// `USER_HZ`, which Linux keeps at this whatever its own clock.
+    const TICK: Duration = Duration::from_millis(10);
+    // The second field is a name in brackets, with whatever it likes in between.
+    let (_, fields) = stat.rsplit_once(')')?;
+    let mut times = fields.split_whitespace().skip(11).map(str::parse::<u32>);
+    let (user, system) = (times.next()?.ok()?, times.next()?.ok()?);
+    Some(TICK * (user + system))
+}
+
+fn kibibytes(text: &str, key: &str) -> Option<u64> {
+    value_of(text, key)?.trim_end_matches(" kB").parse().ok()
+}
+
+/// The value of the first line `key: value`.
+fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let pair = |line: &'a str| line.split_once(':').filter(|(found, _)| found.trim() == key);
+    text.lines().find_map(pair).map(|(_, value)| value.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_found_behind_any_name() {
+        let stat = "42 (a ) name) S 1 42 42 0 -1 4194304 100 0 0 0 250 50 0 0 20 0 3 0 100 1000 10";
+        assert_eq!(used(stat), Some(Duration::from_secs(3)));
+        assert_eq!(used("nonsense"), None);
+    }
+
+    #[test]
+    fn values_are_found_by_their_key() {
+        let text = "Name:\techofix\nVmRSS:\t  2048 kB\nmodel name\t: Some Processor\n";
+        assert_eq!(kibibytes(text, "VmRSS"), Some(2048));
+        assert_eq!(value_of(text, "model name"), Some("Some Processor"));
+        assert_eq!(value_of(text, "VmSwap"), None);
+    }
+}
