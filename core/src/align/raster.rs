@@ -1,69 +1,36 @@
 //! The batch's occupancy grid (`toOGM` of fastGlobalAlign l. 4).
 
-use super::{Prior, Search};
-use crate::batch::Batch;
-use crate::geo::CELL_M;
-use crate::window::Frame;
-
-/// Points of a batch within the search's extent: ground metres in the body's frame.
-#[must_use]
-pub fn points_in_reach(batch: &Batch, search: &Search) -> Vec<[f64; 2]> {
-    let reach = search.extent_m;
-    let inside = |p: &[f64; 2]| p[0].hypot(p[1]) <= reach;
-    batch.points.iter().map(|p| p.map(f64::from)).filter(inside).collect()
-}
-
 /// An image of a batch, redrawn for every heading.
 #[derive(Default)]
 pub struct Raster {
     image: Vec<f32>,
-    /// Cells that are not 0: what must be wiped before the next drawing.
+    /// Pixels that are not 0: what must be wiped before the next drawing.
     touched: Vec<u32>,
-    /// Evidence by number of hits, from 0.
-    evidence: Vec<f32>,
 }
 
 impl Raster {
-    /// Draws the batch at the prior, turned by `turn_rad`, as evidence with the prior belief
-    /// subtracted: 0 where nothing was seen, and within `lag` cells of the border.
-    pub fn draw(
-        &mut self,
-        frame: Frame,
-        batch: &Batch,
-        prior: &Prior,
-        turn_rad: f64,
-        search: &Search,
-        lag: usize,
-    ) {
-        self.clear(frame.side);
-        let [x0, y0] = frame.to_cells([prior.pose.x_m, prior.pose.y_m]);
-        let (s, c) = (prior.pose.yaw_rad + turn_rad).sin_cos();
-        let cells_per_metre = prior.scale / CELL_M;
-        let (s, c) = (s * cells_per_metre, c * cells_per_metre);
-        let reach_sq = (search.extent_m * search.extent_m) as f32;
-        let inside = lag as f64..(frame.side - lag) as f64;
-        for [px, py] in batch.points.iter().filter(|[x, y]| x * x + y * y <= reach_sq) {
-            let (px, py) = (f64::from(*px), f64::from(*py));
-            let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
-            if inside.contains(&x) && inside.contains(&y) {
-                let index = y as usize * frame.side + x as usize;
-                if self.image[index] == 0.0 {
-                    self.touched.push(index as u32);
-                }
-                self.image[index] += 1.0;
+    /// Draws points that fall on `pixels`, each moved by `offset`, on a square image. A pixel's value
+    /// is that of its number of hits, the last one for more.
+    pub fn draw(&mut self, side: usize, pixels: &[u32], offset: usize, values: &[f32]) {
+        self.clear(side);
+        for pixel in pixels {
+            let index = *pixel as usize + offset;
+            if self.image[index] == 0.0 {
+                self.touched.push(index as u32);
             }
+            self.image[index] += 1.0;
         }
-        self.weigh(search);
+        let last = values.len() - 1;
+        for index in &self.touched {
+            let value = &mut self.image[*index as usize];
+            *value = values[(*value as usize).min(last)];
+        }
     }
 
-    /// The image, row-major, frame side by frame side.
+    /// The image, row-major.
+    #[must_use]
     pub fn image(&self) -> &[f32] {
         &self.image
-    }
-
-    /// Occupied cells of the last drawing.
-    pub fn cells(&self) -> usize {
-        self.touched.len()
     }
 
     fn clear(&mut self, side: usize) {
@@ -76,16 +43,20 @@ impl Raster {
             self.image = vec![0.0; side * side];
         }
     }
+}
 
-    /// Counts become evidence (eq. binary-bayes).
-    fn weigh(&mut self, search: &Search) {
-        for index in &self.touched {
-            let value = &mut self.image[*index as usize];
-            let hits = *value as usize;
-            while self.evidence.len() <= hits {
-                self.evidence.push(search.model.evidence(self.evidence.len() as u32) as f32);
-            }
-            *value = self.evidence[hits];
-        }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_is_worth_its_hits_and_the_last_drawing_is_wiped() {
+        let mut raster = Raster::default();
+        raster.draw(4, &[0, 1, 1, 1], 5, &[0.0, 0.5, 0.75]);
+        let drawn = |r: &Raster, i: usize| r.image()[i].to_bits();
+        assert_eq!([drawn(&raster, 5), drawn(&raster, 6)], [0.5_f32.to_bits(), 0.75_f32.to_bits()]);
+        raster.draw(4, &[3], 0, &[0.0, 1.0]);
+        let sum: f32 = raster.image().iter().sum();
+        assert_eq!(sum.to_bits(), 1.0_f32.to_bits());
     }
 }

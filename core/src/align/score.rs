@@ -34,7 +34,7 @@ impl<'a> Field<'a> {
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
         let frame = view.frame();
-        Self { image: view.fine(), side: frame.side, origin: frame.to_metres([0.0, 0.0]) }
+        Self { image: view.fine().image, side: frame.side, origin: frame.to_metres([0.0, 0.0]) }
     }
 
     /// Scores points (ground metres in a body's frame, and what each counts for) seen by a body at `pose` (map metres); `scale`

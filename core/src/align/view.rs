@@ -11,6 +11,19 @@ use crate::window::Frame;
 /// Bytes beyond the last row, so that a strip that starts in the image can be read whole.
 const PADDING: usize = 64;
 
+/// One of a view's images.
+#[derive(Clone, Copy)]
+pub struct Shown<'a> {
+    /// Where it lies.
+    pub frame: Frame,
+    /// Map cells along a pixel's side.
+    pub cells: usize,
+    /// Pixels along a side.
+    pub side: usize,
+    /// Weights, row-major, and some zeros beyond the last row.
+    pub image: &'a [u8],
+}
+
 /// A square of the map as weights; reused from request to request.
 #[derive(Default)]
 pub struct MapView {
@@ -55,22 +68,18 @@ impl MapView {
         self.frame.expect("a view is asked after it was shown")
     }
 
-    /// Weights of cells, row-major, `side * side` and some zeros.
+    /// Weights of cells.
     #[must_use]
-    pub fn fine(&self) -> &[u8] {
-        &self.fine
+    pub fn fine(&self) -> Shown<'_> {
+        let frame = self.frame();
+        Shown { frame, cells: 1, side: frame.side, image: &self.fine }
     }
 
-    /// Weights of coarse cells, row-major, and some zeros.
+    /// Mean weights of [`COARSE`] x [`COARSE`] cells.
     #[must_use]
-    pub fn coarse(&self) -> &[u8] {
-        &self.coarse
-    }
-
-    /// Coarse cells along a side.
-    #[must_use]
-    pub fn coarse_side(&self) -> usize {
-        self.frame().side / COARSE
+    pub fn coarse(&self) -> Shown<'_> {
+        let frame = self.frame();
+        Shown { frame, cells: COARSE, side: frame.side / COARSE, image: &self.coarse }
     }
 
     /// The tiles shown.
@@ -137,10 +146,10 @@ mod tests {
             let (x, y) = (first.x + index as i64 % 512 - frame.origin.x, first.y + index as i64 / 512 - frame.origin.y);
             let side = frame.side as i64;
             if (0..side).contains(&x) && (0..side).contains(&y) {
-                assert_eq!(view.fine()[(y * side + x) as usize], *value);
+                assert_eq!(view.fine().image[(y * side + x) as usize], *value);
             }
         }
-        let shown: u64 = view.fine().iter().map(|v| u64::from(*v)).sum();
+        let shown: u64 = view.fine().image.iter().map(|v| u64::from(*v)).sum();
         assert!(shown > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
         let [x, y] = frame.to_metres([0.0, 0.0]);
         assert!(view.tile_below([x - CELL_M, y]).is_none() && view.tile_below(place).is_some());

@@ -4,7 +4,10 @@
 //! Smoothing makes the map's weights wide hills; a hill that is highest on the fine image is among
 //! the highest few on the coarse one. That is not proven but measured: see `BENCHMARKS.md`.
 
-use super::{Peak, Question};
+use std::cmp::Reverse;
+
+use super::{Engine, Peak, Question};
+use crate::align::cells::places;
 use crate::align::simd::{Isa, Strips};
 use crate::align::thin::Thinner;
 use crate::align::weights::COARSE;
@@ -26,7 +29,6 @@ const COARSE_TURN: usize = 2;
 pub struct Fast {
     isa: Isa,
     thinner: Thinner,
-    /// The thinned batch.
     thinned: Vec<[f32; 3]>,
     places: Vec<u32>,
     sums: Vec<[u32; WIDE]>,
@@ -60,8 +62,14 @@ impl Fast {
         &self.thinned
     }
 
-    /// The highest hills, best first.
-    pub fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>) {
+}
+
+impl Engine for Fast {
+    fn name(&self) -> &'static str {
+        "fast"
+    }
+
+    fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>) {
         let reach = question.search.extent_m as f32;
         self.thinner.thin(&question.batch.points, reach, BLOCK_M, &mut self.thinned);
         let lag = question.lattice.lag.div_ceil(COARSE);
@@ -70,21 +78,25 @@ impl Fast {
         for peak in peaks.iter_mut() {
             self.sharpen(question, peak);
         }
-        peaks.sort_by(|a, b| b.score.cmp(&a.score));
+        peaks.sort_by_key(|peak| Reverse(peak.score));
     }
+}
 
+impl Fast {
     /// Sums of the coarse image for every coarse shift and heading, reduced to the best heading.
     fn coarse(&mut self, question: &Question, lag: usize) {
         let width = 2 * lag + 1;
-        let side = question.view.coarse_side();
+        let shown = question.view.coarse();
         let turns = question.lattice.turns.div_ceil(COARSE_TURN) as i32;
         self.best.clear();
         self.best.resize(width * width, (0, 0));
         self.sums.resize(width, [0; WIDE]);
-        let strips = Strips::<WIDE> { image: question.view.coarse(), stride: side, rows: width };
+        let strips = Strips::<WIDE> { image: shown.image, stride: shown.side, rows: width };
         for turn in -turns..=turns {
             let turn = turn * COARSE_TURN as i32;
-            question.places(&self.thinned, turn, COARSE, [lag, lag], &mut self.places);
+            let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
+            let points = self.thinned.iter().map(|[x, y, _]| [*x, *y]);
+            places(&shown, question.prior, at, points, question.search.extent_m, lag, &mut self.places);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
                 strips.add(self.isa, &self.places, &mut self.sums);
@@ -109,7 +121,7 @@ impl Fast {
         let separation = (question.search.separation_m / coarse_m).powi(2);
         peaks.clear();
         while peaks.len() < question.search.peaks {
-            let top = self.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, std::cmp::Reverse(*i)));
+            let top = self.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, Reverse(*i)));
             let Some((index, &(sum, turn))) = top.filter(|(_, (sum, _))| *sum > 0) else { break };
             let (row, column) = (index / width, index % width);
             for (other, best) in self.best.iter_mut().enumerate() {
@@ -119,7 +131,7 @@ impl Fast {
                 }
             }
             let shift = |i: usize| (i as f64 - lag as f64) * coarse_m;
-            let yaw_rad = f64::from(turn) * question.search.yaw_step_rad;
+            let yaw_rad = f64::from(turn) * question.lattice.yaw_step_rad;
             let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
             peaks.push(Peak { correction: Pose2::new(shift(column), shift(row), yaw_rad), score: sum, at_edge });
         }
@@ -127,17 +139,16 @@ impl Fast {
 
     /// Moves a coarse peak to the best fine hypothesis around it.
     fn sharpen(&mut self, question: &Question, peak: &mut Peak) {
-        let strips = Strips::<NARROW> {
-            image: question.view.fine(),
-            stride: question.view.frame().side,
-            rows: 2 * AROUND + 1,
-        };
-        let (from, step) = (peak.correction, question.search.yaw_step_rad);
+        let shown = question.view.fine();
+        let strips = Strips::<NARROW> { image: shown.image, stride: shown.side, rows: 2 * AROUND + 1 };
+        let (from, step) = (peak.correction, question.lattice.yaw_step_rad);
         let coarse_turn = (from.yaw_rad / step).round() as i32;
         let mut sums = [[0_u32; NARROW]; 2 * AROUND + 1];
         peak.score = 0;
         for turn in coarse_turn - 1..=coarse_turn + 1 {
-            question.places_at(&self.thinned, from, turn, AROUND, &mut self.places);
+            let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * step);
+            let points = self.thinned.iter().map(|[x, y, _]| [*x, *y]);
+            places(&shown, question.prior, at, points, question.search.extent_m, AROUND, &mut self.places);
             sums.fill([0; NARROW]);
             strips.add(self.isa, &self.places, &mut sums);
             for (row, sums) in sums.iter().enumerate() {

@@ -1,0 +1,82 @@
+//! Where the points of a batch fall on an image, under a hypothesis.
+
+use super::Prior;
+use super::view::Shown;
+use crate::geo::CELL_M;
+use crate::pose::Pose2;
+
+/// Writes for each point the index of its pixel in an image, under a correction of the prior, moved
+/// south-west by `lag` pixels along both axes: where the strips of its shifts begin.
+///
+/// Points (ground metres in the body's frame) beyond `reach_m` are left out, and those within `lag`
+/// pixels of the image's border. Every engine counts these and no others.
+pub fn places(
+    image: &Shown,
+    prior: &Prior,
+    at: Pose2,
+    points: impl Iterator<Item = [f32; 2]>,
+    reach_m: f64,
+    lag: usize,
+    out: &mut Vec<u32>,
+) {
+    let per_metre = 1.0 / (CELL_M * image.cells as f64);
+    let origin = image.frame.to_metres([0.0, 0.0]);
+    let x0 = ((prior.pose.x_m + at.x_m - origin[0]) * per_metre) as f32;
+    let y0 = ((prior.pose.y_m + at.y_m - origin[1]) * per_metre) as f32;
+    let (s, c) = (prior.pose.yaw_rad + at.yaw_rad).sin_cos();
+    let (s, c) = ((s * prior.scale * per_metre) as f32, (c * prior.scale * per_metre) as f32);
+    let (low, high) = (lag as f32, (image.side - lag) as f32);
+    let (side, lag) = (image.side as u32, lag as u32);
+    let reach_sq = (reach_m * reach_m) as f32;
+    out.clear();
+    out.extend(points.filter_map(|[px, py]| {
+        let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
+        let inside = px * px + py * py <= reach_sq && x >= low && x < high && y >= low && y < high;
+        inside.then(|| (y as u32 - lag) * side + x as u32 - lag)
+    }));
+}
+
+/// Which pixels of an image were met before.
+#[derive(Default)]
+pub struct Once {
+    met: Vec<u64>,
+}
+
+impl Once {
+    /// Keeps the first of each index: a batch's occupied cells from the cells of its points.
+    pub fn retain(&mut self, places: &mut Vec<u32>) {
+        let words = places.iter().max().map_or(0, |last| *last as usize / 64 + 1);
+        if self.met.len() < words {
+            self.met.resize(words, 0);
+        }
+        places.retain(|place| {
+            let (word, bit) = (&mut self.met[*place as usize / 64], 1_u64 << (place % 64));
+            let first = *word & bit == 0;
+            *word |= bit;
+            first
+        });
+        for place in places.iter() {
+            self.met[*place as usize / 64] = 0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    proptest! {
+        #[test]
+        fn each_cell_is_kept_once(places in prop::collection::vec(0..500_u32, 0..200)) {
+            let mut once = Once::default();
+            for _ in 0..2 {
+                let mut kept = places.clone();
+                once.retain(&mut kept);
+                prop_assert_eq!(kept.iter().collect::<BTreeSet<_>>().len(), kept.len());
+                prop_assert_eq!(kept.iter().collect::<BTreeSet<_>>(), places.iter().collect::<BTreeSet<_>>());
+            }
+        }
+    }
+}
