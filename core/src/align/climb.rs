@@ -15,6 +15,10 @@ const MAX_STEP: [f64; 3] = [0.3, 0.3, 0.015];
 /// A step below this is the last one: metres, metres, radians.
 const CONVERGED: [f64; 3] = [0.002, 0.002, 0.000_05];
 const MAX_STEPS: usize = 8;
+/// Seconds over which odometry is taken as rigid.
+const STRETCH_S: f64 = 0.5;
+/// Degrees of freedom of the drift's prior, a Student-t: most odometry drifts little, some much.
+const TAIL: f64 = 3.0;
 
 type Vector6 = SVector<f64, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
@@ -113,20 +117,27 @@ pub struct DriftPrior {
     pub temperature: f64,
 }
 
+impl Default for DriftPrior {
+    /// What the paper studies as the worst: 40 cm and 1 degree in 5 s. The prior's tail is heavy and its
+    /// middle narrow, so that good odometry loses little.
+    fn default() -> Self {
+        Self { position_mps: 0.08, yaw_radps: 0.2_f64.to_radians(), temperature: 15.0 }
+    }
+}
+
 /// A batch whose scans may move against each other, as odometry drifts.
 #[derive(Default)]
 pub struct Flexible {
     /// Points relative to where the body was when it saw them, in the axes of the batch's frame.
     points: Vec<[f32; 3]>,
-    scans: Vec<Seen>,
+    stretches: Vec<Stretch>,
     duration_s: f64,
     thinner: Thinner,
     thinned: Vec<[f32; 3]>,
-    seen: Vec<u8>,
 }
 
-/// One scan's points.
-struct Seen {
+/// The points of a stretch of time, short enough for odometry not to drift within it.
+struct Stretch {
     end: usize,
     /// Where the body was, ground metres in the batch's frame.
     body: [f64; 2],
@@ -136,39 +147,34 @@ struct Seen {
 }
 
 impl Flexible {
-    /// Takes a batch's points within reach, thinned to one a block within each stretch of time.
-    pub fn take(&mut self, batch: &Batch, search: &Search, stretch_s: f64, block_m: f32) {
+    /// Takes a batch's points within reach, thinned to one a block within each stretch of time. Those
+    /// of one block share one vote: what is seen for long is no more certain.
+    pub fn take(&mut self, batch: &Batch, search: &Search, block_m: f32) {
         self.points.clear();
-        self.scans.clear();
-        self.seen.clear();
-        let oldest_s = batch.sightings.iter().map(|s| s.age_s).fold(0.0, f64::max);
-        self.duration_s = oldest_s;
+        self.stretches.clear();
+        self.duration_s = batch.sightings.iter().map(|s| s.age_s).fold(0.0, f64::max);
+        let reach_m = search.extent_m as f32;
         let mut rest = &batch.sightings[..];
         while let Some(first) = rest.first() {
-            let count = rest.iter().take_while(|s| first.age_s - s.age_s < stretch_s).count();
+            let count = rest.iter().take_while(|s| first.age_s - s.age_s < STRETCH_S).count().max(1);
             let (stretch, after) = rest.split_at(count);
             rest = after;
             let end = rest.first().map_or(batch.points.len(), |s| s.first);
             let middle = &stretch[count / 2];
+            self.thinner.thin(&batch.points[first.first..end], reach_m, block_m, &mut self.thinned);
+            self.points.extend_from_slice(&self.thinned);
+            let share = if self.duration_s > 0.0 { 0.5 - middle.age_s / self.duration_s } else { 0.0 };
             let body = [middle.body.x_m, middle.body.y_m];
-            let [bx, by] = body.map(|v| v as f32);
-            let reach = search.extent_m as f32;
-            self.thinner.thin(&batch.points[first.first..end], reach, block_m, &mut self.thinned);
-            let half = (reach / block_m).ceil();
-            let side = 2 * half as usize + 1;
-            self.seen.resize(side * side, 0);
-            self.points.extend(self.thinned.iter().map(|[x, y, _]| {
-                let (column, row) = ((x / block_m + half) as usize, (y / block_m + half) as usize);
-                let b = row * side + column;
-                self.seen[b] += 1;
-                [x - bx, y - by, f32::from_bits(b as u32)]
-            }));
-            let share = if oldest_s > 0.0 { 0.5 - middle.age_s / oldest_s } else { 0.0 };
-            self.scans.push(Seen { end: self.points.len(), body, share });
+            self.stretches.push(Stretch { end: self.points.len(), body, share });
         }
-        let alpha: f32 = std::env::var("ALPHA").ok().map_or(1.0, |s| s.parse().unwrap());
-        for p in &mut self.points {
-            p[2] = f32::from(self.seen[p[2].to_bits() as usize]).powf(-alpha);
+        self.thinner.share_votes(&mut self.points, reach_m, block_m);
+        let mut from = 0;
+        for stretch in &self.stretches {
+            let [bx, by] = stretch.body.map(|v| v as f32);
+            for point in &mut self.points[from..stretch.end] {
+                *point = [point[0] - bx, point[1] - by, point[2]];
+            }
+            from = stretch.end;
         }
     }
 
@@ -219,25 +225,24 @@ impl Flexible {
         let (s, c) = (s * prior.scale, c * prior.scale);
         let mut sum = Landscape::default();
         let mut first = 0;
-        for scan in &self.scans {
-            let [bx, by] = scan.body;
+        for stretch in &self.stretches {
+            let [bx, by] = stretch.body;
             let arm = [c * bx - s * by, s * bx + c * by];
             let pose = Pose2::new(
-                middle.x_m + arm[0] + scan.share * at[3],
-                middle.y_m + arm[1] + scan.share * at[4],
-                middle.yaw_rad + scan.share * at[5],
+                middle.x_m + arm[0] + stretch.share * at[3],
+                middle.y_m + arm[1] + stretch.share * at[4],
+                middle.yaw_rad + stretch.share * at[5],
             );
-            let slope = field.slope(&self.points[first..scan.end], &pose, prior.scale);
-            sum.add(&slope, arm, scan.share);
-            first = scan.end;
+            let slope = field.slope(&self.points[first..stretch.end], &pose, prior.scale);
+            sum.add(&slope, arm, stretch.share);
+            first = stretch.end;
         }
-        let nu: f64 = std::env::var("NU").ok().map_or(1e9, |s| s.parse().unwrap());
         let squared: f64 = (0..3).map(|i: usize| stiff[i] * at[i + 3] * at[i + 3]).sum::<f64>() / temperature;
-        sum.value -= 0.5 * temperature * (nu + 3.0) * (squared / nu).ln_1p();
-        let w = (nu + 3.0) / (nu + squared);
+        sum.value -= 0.5 * temperature * (TAIL + 3.0) * (squared / TAIL).ln_1p();
+        let held = (TAIL + 3.0) / (TAIL + squared);
         for i in 0..3 {
-            sum.gradient[i + 3] -= w * stiff[i] * at[i + 3];
-            sum.curvature[(i + 3, i + 3)] -= w * stiff[i];
+            sum.gradient[i + 3] -= held * stiff[i] * at[i + 3];
+            sum.curvature[(i + 3, i + 3)] -= held * stiff[i];
         }
         sum
     }

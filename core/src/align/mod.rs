@@ -1,35 +1,42 @@
-//! Where is the batch on the map? The paper's algorithm, and what makes its answer better and
+//! Where is the batch on the map? The paper's algorithm, and what makes its answer better, faster and
 //! honest.
 //!
-//! 1. [`PreparedMap`]: the window's occupancy and its spectrum, once for all requests around here.
-//! 2. [`fast_global_align`]: the correlation of map and batch for every shift and heading within
-//!    three sigma of the prior: the global optimum, not the nearest one.
-//! 3. [`peaks`]: the highest distinct maxima of that volume.
-//! 4. [`refine`]: each is climbed on a smoothed map with the unrounded points, below a cell and
-//!    below a heading step; the best one is the answer, the others are its alternatives.
-//! 5. [`verdict`]: may the answer be used, and how large can its error be?
+//! 1. [`weights`]: tiles become images of weights, once a version; [`view`] shows those around a prior.
+//! 2. [`engine`]: the highest hills of the correlation of map and batch among all shifts and headings
+//!    within three sigma of the prior: the global optimum, not the nearest one.
+//!    [`fast_global_align`] is the paper's way to them.
+//! 3. [`climb`]: each hill is climbed with the unrounded points, below a cell and below a heading
+//!    step; on the best one odometry's drift is estimated along with the pose.
+//! 4. [`verdict`]: may the answer be used, and how large can its error be?
+//!
+//! [`Aligner`] runs the four for one request after the other.
 
-pub mod engine;
-pub mod fft;
+mod aligner;
 mod cells;
 pub mod climb;
 pub mod correlation;
+pub mod engine;
+pub mod fft;
 mod fft2;
 pub mod image;
 mod raster;
 pub mod score;
 pub mod simd;
 pub mod thin;
+pub mod verdict;
 pub mod view;
 pub mod weights;
 
+pub use aligner::{Aligner, EngineKind, Task};
 pub use correlation::{Correlation, Lattice};
 
 use crate::batch::Batch;
 use crate::pose::Pose2;
 use cells::places;
+use climb::DriftPrior;
 use image::MapImage;
 use raster::Raster;
+use verdict::Verdict;
 use view::Shown;
 
 /// How to search. The defaults are the paper's (Sec. "Test procedure").
@@ -46,6 +53,8 @@ pub struct Search {
     pub peaks: usize,
     /// Two peaks nearer than this are one, metres.
     pub separation_m: f64,
+    /// What odometry may have drifted over a batch.
+    pub drift: DriftPrior,
 }
 
 impl Default for Search {
@@ -56,6 +65,7 @@ impl Default for Search {
             extent_m: 50.0,
             peaks: 5,
             separation_m: 1.0,
+            drift: DriftPrior::default(),
         }
     }
 }
@@ -109,4 +119,34 @@ pub struct Workspace {
     places: Vec<u32>,
     raster: Raster,
     fft: fft::Workspace,
+}
+
+/// The answer with its diagnostics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alignment {
+    /// Corrected pose of the body: map metres, radians from grid east.
+    pub pose: Pose2,
+    /// Corrected pose minus prior, component by component: metres east and north, radians.
+    pub correction: Pose2,
+    /// Covariance of (east m, north m, yaw rad).
+    pub covariance: [[f64; 3]; 3],
+    /// Other poses that explain the batch, as corrections with their score relative to the
+    /// answer's, best first.
+    pub alternatives: Vec<(Pose2, f64)>,
+    /// Mean log weight of the batch's points on the smoothed map, above that of a random shift.
+    pub score: f64,
+    /// The answer's mean log weight relative to that of a random shift.
+    pub contrast: f64,
+    /// Detections that were used.
+    pub points_used: usize,
+    /// Blocks that the batch was thinned to.
+    pub thinned_points: usize,
+    /// Share of them that lie on mapped structure at the answer.
+    pub matched_fraction: f64,
+    /// Share of them that lie in a tile the map has.
+    pub coverage: f64,
+    /// Half width of the search: metres and radians.
+    pub searched: (f64, f64),
+    /// May it be used?
+    pub verdict: Verdict,
 }

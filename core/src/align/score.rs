@@ -99,7 +99,12 @@ impl<'a> Field<'a> {
 
     /// Only the score, each point at its nearest cell: for comparing far poses.
     #[must_use]
-    pub fn value(&self, points: &[[f32; 2]], pose: &Pose2, scale: f64) -> f64 {
+    pub fn value<'p>(
+        &self,
+        points: impl IntoIterator<Item = &'p [f32; 3]>,
+        pose: &Pose2,
+        scale: f64,
+    ) -> f64 {
         let per_metre = 1.0 / CELL_M;
         let x0 = ((pose.x_m - self.origin[0]) * per_metre) as f32;
         let y0 = ((pose.y_m - self.origin[1]) * per_metre) as f32;
@@ -107,7 +112,7 @@ impl<'a> Field<'a> {
         let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
         let inside = 0.0..self.side as f32;
         let mut sum = 0_u32;
-        for [px, py] in points {
+        for [px, py, _] in points {
             let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
             if inside.contains(&x) && inside.contains(&y) {
                 sum += u32::from(self.image[y as usize * self.side + x as usize]);

@@ -11,16 +11,14 @@ pub struct Thinner {
 
 impl Thinner {
     /// Writes the means of the points in blocks of `block_m` into `out`: ground metres in the
-    /// body's frame. Points farther than `reach_m` are left out.
+    /// body's frame, and 1, the vote of each. Points farther than `reach_m` are left out.
     pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f32, block_m: f32, out: &mut Vec<[f32; 3]>) {
-        let half = (reach_m / block_m).ceil();
-        let side = 2 * half as usize + 1;
+        let grid = Grid::new(reach_m, block_m);
         self.blocks.clear();
-        self.blocks.resize(side * side, 0);
+        self.blocks.resize(grid.blocks(), 0);
         self.sums.clear();
         for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
-            let (column, row) = ((x / block_m + half) as usize, (y / block_m + half) as usize);
-            let slot = &mut self.blocks[row * side + column];
+            let slot = &mut self.blocks[grid.block(x, y)];
             if *slot == 0 {
                 self.sums.push([0.0; 3]);
                 *slot = self.sums.len() as u32;
@@ -30,6 +28,43 @@ impl Thinner {
         }
         out.clear();
         out.extend(self.sums.iter().map(|[x, y, n]| [x / n, y / n, 1.0]));
+    }
+
+    /// Divides the vote of each block among the points in it. All must lie within `reach_m`.
+    pub fn share_votes(&mut self, points: &mut [[f32; 3]], reach_m: f32, block_m: f32) {
+        let grid = Grid::new(reach_m, block_m);
+        self.blocks.clear();
+        self.blocks.resize(grid.blocks(), 0);
+        for [x, y, _] in points.iter() {
+            self.blocks[grid.block(*x, *y)] += 1;
+        }
+        for [x, y, vote] in points {
+            *vote = 1.0 / self.blocks[grid.block(*x, *y)] as f32;
+        }
+    }
+}
+
+/// Blocks around the body.
+struct Grid {
+    half: f32,
+    per_metre: f32,
+    side: usize,
+}
+
+impl Grid {
+    fn new(reach_m: f32, block_m: f32) -> Self {
+        // One more on either side: a mean may be rounded out of its block.
+        let half = (reach_m / block_m).ceil() + 1.0;
+        Self { half, per_metre: 1.0 / block_m, side: 2 * half as usize + 1 }
+    }
+
+    fn blocks(&self) -> usize {
+        self.side * self.side
+    }
+
+    fn block(&self, x: f32, y: f32) -> usize {
+        let index = |v: f32| (v * self.per_metre + self.half) as usize;
+        index(y) * self.side + index(x)
     }
 }
 

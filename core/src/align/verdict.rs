@@ -4,38 +4,41 @@
 //! are not independent. The curvature of the score is therefore divided by a temperature that was
 //! measured on drives with known truth, and the map's own error is added as a floor.
 
-use super::refine::{Refined, Score, inverse_of_positive};
-use super::{Alignment, Correlation, PreparedMap, Prior, Search};
-use crate::batch::Batch;
+use nalgebra::Matrix3;
+
+use super::Alignment;
+use super::climb::Summit;
+use super::engine::Question;
+use super::score::Field;
+use crate::geo::CELL_M;
 use crate::pose::{Pose2, wrap_angle};
 
 /// What an answer must pass, and the calibration of its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Integrity {
-    /// Occupied cells a batch must have.
-    pub min_batch_cells: usize,
+    /// Points a thinned batch must have.
+    pub min_points: usize,
     /// Share of the batch that must lie in tiles the map has.
     pub min_coverage: f64,
     /// Share of the batch that must lie on mapped structure.
     pub min_matched: f64,
     /// A detection lies on mapped structure when a map point is this near, metres.
     pub matched_within_m: f64,
+    /// Score of the answer, relative to that of a random pose, below which it is no better than one.
+    pub min_contrast: f64,
     /// Relative score up to which a second pose is tolerated.
     pub max_alternative: f64,
     /// Largest sigma of the answer along any direction, metres, that still tells a place.
     pub max_sigma_m: f64,
-    /// Independent returns count for this many detections of a batch.
+    /// Independent returns count for this many points of a thinned batch.
     pub temperature: f64,
     /// Error of the poses that one pass was mapped from: one sigma along each axis, metres. The
     /// passes of a crowd average it out.
     pub map_pose_m: f64,
+    /// Error of the map that no number of passes averages out: one sigma along each axis, metres.
+    pub floor_m: f64,
     /// Error of the map's heading: one sigma, radians.
     pub floor_yaw_rad: f64,
-    /// Scale error of the odometry that organised the batch: one sigma, metres a metre. Half of
-    /// what it adds up to over the batch shows along the heading.
-    pub odometry_scale: f64,
-    /// Heading drift of that odometry: one sigma, radians a second.
-    pub odometry_yaw_radps: f64,
     /// Factor on the protection levels that covers the heavier-than-Gaussian tail.
     pub tail: f64,
 }
@@ -43,17 +46,17 @@ pub struct Integrity {
 impl Default for Integrity {
     fn default() -> Self {
         Self {
-            min_batch_cells: 500,
+            min_points: 300,
             min_coverage: 0.7,
             min_matched: 0.5,
             matched_within_m: 0.3,
+            min_contrast: 1.3,
             max_alternative: 0.75,
             max_sigma_m: 0.5,
-            temperature: 60.0,
-            map_pose_m: 0.13,
+            temperature: 15.0,
+            map_pose_m: 0.11,
+            floor_m: 0.02,
             floor_yaw_rad: 0.001,
-            odometry_scale: 0.005,
-            odometry_yaw_radps: 0.02_f64.to_radians(),
             tail: 1.3,
         }
     }
@@ -68,25 +71,32 @@ pub enum Verdict {
     Ambiguous {
         /// Its score relative to the answer's.
         relative_score: f64,
+        /// True when the two lie along the vehicle's heading: the street repeats itself.
+        along_track: bool,
     },
     /// The batch tells too little.
     TooLittleStructure {
-        /// Its occupied cells.
-        batch_cells: usize,
+        /// Its points, thinned.
+        points: usize,
         /// Sigma of the answer in its worst direction, metres; infinite where nothing holds it.
         sigma_m: f64,
     },
-    /// Too little of the batch is found in the map.
-    DisagreesWithMap {
+    /// The place is clear, but too little of what the batch saw is in the map: the street has changed.
+    MapStale {
         /// The share that is.
         matched_fraction: f64,
     },
-    /// The best pose lies on the edge of the search.
-    AtEdgeOfSearch,
+    /// The best pose lies on the edge of the search: the prior is wrong by more than it says.
+    PriorOutsideSearch,
     /// The map covers too little of what the batch saw.
     TooLittleMap {
         /// The share it covers.
         coverage: f64,
+    },
+    /// No pose explains the batch: it is somewhere else.
+    Lost {
+        /// Score of the best pose relative to a random one's.
+        contrast: f64,
     },
 }
 
@@ -124,91 +134,111 @@ impl Alignment {
     }
 }
 
-/// What is found when there is no peak at all: the prior itself, which no check lets pass.
-const NOTHING: Refined =
-    Refined { correction: Pose2::IDENTITY, score: 0.0, hessian: [[0.0; 3]; 3], at_edge: true };
-
 /// The facts an answer is judged by.
 pub(super) struct Case<'a> {
-    pub map: &'a PreparedMap,
-    pub batch: &'a Batch,
-    pub prior: &'a Prior,
-    pub search: &'a Search,
-    pub correlation: &'a Correlation,
-    /// Points that were correlated, ground metres in the body's frame.
-    pub points: &'a [[f64; 2]],
-    /// Climbed peaks, best first.
-    pub found: &'a [Refined],
-    pub batch_cells: usize,
+    pub question: &'a Question<'a>,
+    pub field: &'a Field<'a>,
+    /// The answer, if there is any hill.
+    pub answer: Option<Summit>,
+    /// All summits of the rigid batch, best first; the first is the answer's hill.
+    pub summits: &'a [Summit],
 }
+
+/// Points that fractions are counted on.
+const SAMPLE: usize = 256;
 
 impl Case<'_> {
     /// The answer with its verdict.
     pub(super) fn judge(&self, integrity: &Integrity) -> Alignment {
-        let best = self.found.first().copied().unwrap_or(NOTHING);
+        let Question { prior, thinned, batch, .. } = *self.question;
+        let Some(best) = self.answer else { return self.nothing(integrity) };
+        let pose = corrected(&prior.pose, &best.correction);
         let background = self.background();
-        let covariance = self.covariance(&best, integrity);
-        let pose = self.corrected(&best.correction);
-        let placed = || self.points.iter().map(|p| pose.transform(p.map(|v| v * self.prior.scale)));
+        let (matched_fraction, coverage) = self.agreement(&pose, integrity);
         let mut alignment = Alignment {
             pose,
             correction: best.correction,
-            covariance,
-            alternatives: self.alternatives(&best, background),
+            covariance: self.covariance(&best, integrity).into(),
+            alternatives: self.alternatives(background),
             score: best.score - background,
-            points_used: self.points.len(),
-            batch_cells: self.batch_cells,
-            matched_fraction: self.map.points().matched_fraction(placed(), integrity.matched_within_m),
-            coverage: self.map.window().coverage(placed()),
-            searched: self.searched(),
+            contrast: best.score / background.max(f64::MIN_POSITIVE),
+            points_used: batch.points.len(),
+            thinned_points: thinned.len(),
+            matched_fraction,
+            coverage,
+            searched: self.question.lattice.half_widths(),
             verdict: Verdict::Usable,
         };
         alignment.verdict = verdict(&alignment, best.at_edge || self.leaves_search(&best), integrity);
         alignment
     }
 
-    fn corrected(&self, correction: &Pose2) -> Pose2 {
-        let prior = self.prior.pose;
-        Pose2::new(
-            prior.x_m + correction.x_m,
-            prior.y_m + correction.y_m,
-            wrap_angle(prior.yaw_rad + correction.yaw_rad),
-        )
+    /// There is no map below the batch: the prior itself, which no check lets pass.
+    fn nothing(&self, integrity: &Integrity) -> Alignment {
+        let Question { prior, thinned, batch, .. } = *self.question;
+        let mut alignment = Alignment {
+            pose: prior.pose,
+            correction: Pose2::IDENTITY,
+            covariance: Matrix3::from_diagonal_element(f64::INFINITY).into(),
+            alternatives: Vec::new(),
+            score: 0.0,
+            contrast: 0.0,
+            points_used: batch.points.len(),
+            thinned_points: thinned.len(),
+            matched_fraction: 0.0,
+            coverage: self.agreement(&prior.pose, integrity).1,
+            searched: self.question.lattice.half_widths(),
+            verdict: Verdict::Usable,
+        };
+        alignment.verdict = verdict(&alignment, false, integrity);
+        alignment
     }
 
     /// True when the climb ended on the edge of what was searched, or beyond.
-    fn leaves_search(&self, best: &Refined) -> bool {
-        let ((half_m, half_yaw_rad), correction) = (self.searched(), best.correction);
+    fn leaves_search(&self, best: &Summit) -> bool {
+        let ((half_m, half_yaw_rad), correction) = (self.question.lattice.half_widths(), best.correction);
         let shift = correction.x_m.abs().max(correction.y_m.abs());
-        shift > half_m - crate::geo::CELL_M || correction.yaw_rad.abs() > half_yaw_rad
-    }
-
-    fn searched(&self) -> (f64, f64) {
-        let yaw = self.correlation.turns as f64 * self.correlation.yaw_step_rad;
-        (self.correlation.lag as f64 * crate::geo::CELL_M, yaw)
+        shift > half_m - CELL_M || correction.yaw_rad.abs() > half_yaw_rad
     }
 
     /// What the score is at a random shift: the mean over a lattice of the search.
     fn background(&self) -> f64 {
-        const LATTICE: i32 = 3;
-        let score = self.score();
-        let step = self.searched().0 / f64::from(LATTICE);
-        let lattice = || -LATTICE..=LATTICE;
-        let values = lattice().flat_map(|i| lattice().map(move |j| (i, j)));
-        let sum: f64 =
-            values.clone().map(|(i, j)| score.at([f64::from(i) * step, f64::from(j) * step, 0.0])).sum();
-        sum / values.count() as f64
+        const LATTICE: i32 = 2;
+        let Question { prior, thinned, lattice, .. } = *self.question;
+        let sample: Vec<_> = thinned.iter().step_by(thinned.len() / SAMPLE + 1).collect();
+        let step = lattice.half_widths().0.max(1.0) / f64::from(LATTICE);
+        let shifts = (-LATTICE..=LATTICE).flat_map(|i| (-LATTICE..=LATTICE).map(move |j| (i, j)));
+        let pose = |(i, j)| corrected(&prior.pose, &Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
+        let (mut sum, mut count) = (0.0, 0.0);
+        for shift in shifts {
+            sum += self.field.value(sample.iter().copied(), &pose(shift), prior.scale);
+            count += sample.len() as f64;
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    fn score(&self) -> Score<'_> {
-        Score::new(self.map.surface(), self.map.frame(), self.points, self.prior)
+    /// Shares of the batch that lie on mapped structure and in mapped tiles.
+    fn agreement(&self, pose: &Pose2, integrity: &Integrity) -> (f64, f64) {
+        let Question { prior, thinned, view, .. } = *self.question;
+        let (mut matched, mut covered, mut all) = (0_u32, 0_u32, 0_u32);
+        for [x, y, _] in thinned.iter().step_by(thinned.len() / SAMPLE + 1) {
+            all += 1;
+            let place = pose.transform([f64::from(*x) * prior.scale, f64::from(*y) * prior.scale]);
+            let Some(tile) = view.tile_below(place) else { continue };
+            covered += 1;
+            let near = tile.points.distance_m(place).is_some_and(|d| d <= integrity.matched_within_m);
+            matched += u32::from(near);
+        }
+        let share = |n: u32| if all > 0 { f64::from(n) / f64::from(all) } else { 0.0 };
+        (share(matched), share(covered))
     }
 
-    /// Climbed peaks that are not the answer, by their score above the background.
-    fn alternatives(&self, best: &Refined, background: f64) -> Vec<(Pose2, f64)> {
+    /// Summits that are not the answer's, by their score above the background.
+    fn alternatives(&self, background: f64) -> Vec<(Pose2, f64)> {
+        let Some((best, rest)) = self.summits.split_first() else { return Vec::new() };
         let mut others: Vec<(Pose2, f64)> = Vec::new();
-        for other in self.found.iter().skip(1) {
-            let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.search.separation_m;
+        for other in rest {
+            let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.question.search.separation_m;
             if distinct(&best.correction) && others.iter().all(|(pose, _)| distinct(pose)) {
                 // An answer that is no better than a random shift is rivalled by everything.
                 let above = best.score - background;
@@ -219,49 +249,60 @@ impl Case<'_> {
         others
     }
 
-    /// The inverse curvature of the summed score, times the temperature, and what neither it nor
-    /// any number of returns can tell: the map's own error and the odometry's drift.
-    fn covariance(&self, best: &Refined, integrity: &Integrity) -> [[f64; 3]; 3] {
-        let independent = self.points.len() as f64 / integrity.temperature;
-        let information = best.hessian.map(|row| row.map(|v| -v * independent));
-        let mut covariance = inverse_of_positive(information).unwrap_or([
-            [f64::INFINITY, 0.0, 0.0],
-            [0.0, f64::INFINITY, 0.0],
-            [0.0, 0.0, f64::INFINITY],
-        ]);
-        let floor = integrity.map_pose_m.powi(2) / self.map.window().typical_passes();
-        let drift = (0.5 * integrity.odometry_scale * self.batch.travelled_m).powi(2);
-        let (s, c) = self.corrected(&best.correction).yaw_rad.sin_cos();
-        covariance[0][0] += floor + c * c * drift;
-        covariance[0][1] += c * s * drift;
-        covariance[1][0] += c * s * drift;
-        covariance[1][1] += floor + s * s * drift;
-        let turned = 0.5 * integrity.odometry_yaw_radps * self.batch.duration_s;
-        covariance[2][2] += integrity.floor_yaw_rad.powi(2) + turned.powi(2);
+    /// The inverse information times the temperature, and what no number of returns can tell: the
+    /// map's own error.
+    fn covariance(&self, best: &Summit, integrity: &Integrity) -> Matrix3<f64> {
+        let inverse = best.information.cholesky().map(|c| c.inverse() * integrity.temperature);
+        let unheld = Matrix3::from_diagonal_element(f64::INFINITY);
+        let Some(mut covariance) = inverse.filter(|c| c.iter().all(|v| v.is_finite())) else { return unheld };
+        let passes = self.question.view.typical_passes();
+        let floor = integrity.map_pose_m.powi(2) / passes + integrity.floor_m.powi(2);
+        covariance[(0, 0)] += floor;
+        covariance[(1, 1)] += floor;
+        covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
         covariance
     }
+}
+
+fn corrected(prior: &Pose2, correction: &Pose2) -> Pose2 {
+    Pose2::new(
+        prior.x_m + correction.x_m,
+        prior.y_m + correction.y_m,
+        wrap_angle(prior.yaw_rad + correction.yaw_rad),
+    )
 }
 
 /// The first check that the answer does not pass.
 fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
     let sigma_m = worst_sigma_m(&answer.covariance);
-    let second = answer.alternatives.iter().map(|(_, score)| *score).fold(0.0, f64::max);
-    let Alignment { batch_cells, coverage, matched_fraction, .. } = *answer;
-    if batch_cells < integrity.min_batch_cells {
-        Verdict::TooLittleStructure { batch_cells, sigma_m }
+    let Alignment { thinned_points: points, coverage, matched_fraction, contrast, .. } = *answer;
+    let second = answer.alternatives.iter().max_by(|a, b| a.1.total_cmp(&b.1));
+    let rival = second.filter(|(_, score)| *score > integrity.max_alternative);
+    if points < integrity.min_points {
+        Verdict::TooLittleStructure { points, sigma_m }
     } else if coverage < integrity.min_coverage {
         Verdict::TooLittleMap { coverage }
-    } else if matched_fraction < integrity.min_matched {
-        Verdict::DisagreesWithMap { matched_fraction }
+    } else if contrast < integrity.min_contrast {
+        Verdict::Lost { contrast }
     } else if at_edge {
-        Verdict::AtEdgeOfSearch
-    } else if second > integrity.max_alternative {
-        Verdict::Ambiguous { relative_score: second }
+        Verdict::PriorOutsideSearch
+    } else if let Some((other, relative_score)) = rival {
+        let along_track = lies_along(answer, other);
+        Verdict::Ambiguous { relative_score: *relative_score, along_track }
     } else if sigma_m > integrity.max_sigma_m || !sigma_m.is_finite() {
-        Verdict::TooLittleStructure { batch_cells, sigma_m }
+        Verdict::TooLittleStructure { points, sigma_m }
+    } else if matched_fraction < integrity.min_matched {
+        Verdict::MapStale { matched_fraction }
     } else {
         Verdict::Usable
     }
+}
+
+/// True when another correction lies within 30 degrees of the vehicle's heading from the answer.
+fn lies_along(answer: &Alignment, other: &Pose2) -> bool {
+    let (dx, dy) = (other.x_m - answer.correction.x_m, other.y_m - answer.correction.y_m);
+    let (s, c) = answer.pose.yaw_rad.sin_cos();
+    (c * dx + s * dy).abs() > 0.866 * dx.hypot(dy)
 }
 
 /// Square root of the larger eigenvalue of the position's covariance, metres.
@@ -282,8 +323,9 @@ mod tests {
             covariance: [[0.04, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 1e-6]],
             alternatives: vec![(Pose2::new(5.0, 0.0, 0.0), 0.3)],
             score: 1.0,
+            contrast: 3.0,
             points_used: 7000,
-            batch_cells: 5000,
+            thinned_points: 2000,
             matched_fraction: 0.9,
             coverage: 1.0,
             searched: (6.0, 0.16),
@@ -300,14 +342,17 @@ mod tests {
             verdict(&a, false, &checks)
         };
         assert_eq!(judged(|_| ()), Verdict::Usable);
-        assert_eq!(verdict(&answer(), true, &checks), Verdict::AtEdgeOfSearch);
+        assert_eq!(verdict(&answer(), true, &checks), Verdict::PriorOutsideSearch);
         assert!(matches!(
-            judged(|a| a.batch_cells = 10),
-            Verdict::TooLittleStructure { batch_cells: 10, .. }
+            judged(|a| a.thinned_points = 10),
+            Verdict::TooLittleStructure { points: 10, .. }
         ));
         assert!(matches!(judged(|a| a.coverage = 0.1), Verdict::TooLittleMap { .. }));
-        assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::DisagreesWithMap { .. }));
-        assert!(matches!(judged(|a| a.alternatives[0].1 = 0.99), Verdict::Ambiguous { .. }));
+        assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::MapStale { .. }));
+        assert!(matches!(judged(|a| a.contrast = 1.0), Verdict::Lost { .. }));
+        assert!(matches!(judged(|a| a.alternatives[0].1 = 0.99), Verdict::Ambiguous { along_track: true, .. }));
+        let aside = judged(|a| a.alternatives[0] = (Pose2::new(0.0, 5.0, 0.0), 0.99));
+        assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);
         assert!(matches!(unheld, Verdict::TooLittleStructure { .. }), "{unheld:?}");

@@ -9,13 +9,10 @@ use std::cmp::Reverse;
 use super::{Engine, Peak, Question};
 use crate::align::cells::places;
 use crate::align::simd::{Isa, Strips};
-use crate::align::thin::Thinner;
 use crate::align::weights::COARSE;
 use crate::geo::CELL_M;
 use crate::pose::Pose2;
 
-/// Blocks to which the batch is thinned, metres.
-const BLOCK_M: f32 = 0.4;
 /// Shifts to a strip of the coarse image.
 const WIDE: usize = 32;
 /// Shifts to a strip of the fine image.
@@ -28,8 +25,6 @@ const COARSE_TURN: usize = 2;
 /// The engine and its buffers.
 pub struct Fast {
     isa: Isa,
-    thinner: Thinner,
-    thinned: Vec<[f32; 3]>,
     places: Vec<u32>,
     sums: Vec<[u32; WIDE]>,
     /// For each coarse shift the best sum and its heading.
@@ -48,20 +43,11 @@ impl Fast {
     pub fn on(isa: Isa) -> Self {
         Self {
             isa,
-            thinner: Thinner::default(),
-            thinned: Vec::new(),
             places: Vec::new(),
             sums: Vec::new(),
             best: Vec::new(),
         }
     }
-
-    /// The batch of the last search, thinned: ground metres in the body's frame.
-    #[must_use]
-    pub fn thinned(&self) -> &[[f32; 3]] {
-        &self.thinned
-    }
-
 }
 
 impl Engine for Fast {
@@ -70,8 +56,6 @@ impl Engine for Fast {
     }
 
     fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>) {
-        let reach = question.search.extent_m as f32;
-        self.thinner.thin(&question.batch.points, reach, BLOCK_M, &mut self.thinned);
         let lag = question.lattice.lag.div_ceil(COARSE);
         self.coarse(question, lag);
         self.highest(question, lag, peaks);
@@ -95,7 +79,7 @@ impl Fast {
         for turn in -turns..=turns {
             let turn = turn * COARSE_TURN as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
-            let points = self.thinned.iter().map(|[x, y, _]| [*x, *y]);
+            let points = question.thinned.iter().map(|[x, y, _]| [*x, *y]);
             places(&shown, question.prior, at, points, question.search.extent_m, lag, &mut self.places);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
@@ -147,7 +131,7 @@ impl Fast {
         peak.score = 0;
         for turn in coarse_turn - 1..=coarse_turn + 1 {
             let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * step);
-            let points = self.thinned.iter().map(|[x, y, _]| [*x, *y]);
+            let points = question.thinned.iter().map(|[x, y, _]| [*x, *y]);
             places(&shown, question.prior, at, points, question.search.extent_m, AROUND, &mut self.places);
             sums.fill([0; NARROW]);
             strips.add(self.isa, &self.places, &mut sums);

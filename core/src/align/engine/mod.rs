@@ -44,6 +44,9 @@ pub struct Question<'a> {
     pub view: &'a MapView,
     /// The batch.
     pub batch: &'a Batch,
+    /// The batch, thinned (see [`crate::align::thin`]): ground metres in the body's frame, and what a
+    /// point counts for.
+    pub thinned: &'a [[f32; 3]],
     /// Where it is believed to be.
     pub prior: &'a Prior,
     /// How to search.
@@ -53,7 +56,7 @@ pub struct Question<'a> {
 }
 
 /// A way to find the maximum of the correlation, with its buffers.
-pub trait Engine {
+pub trait Engine: Send {
     /// Its name in tables and configuration.
     fn name(&self) -> &'static str;
 

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::align::simd::Isa;
+use crate::align::thin::Thinner;
 use crate::align::weights::TileWeights;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CellIndex, TileId, Zone};
@@ -19,6 +20,7 @@ const EXTENT_M: f64 = 6.0;
 struct Scene {
     view: MapView,
     batch: Batch,
+    thinned: Vec<[f32; 3]>,
     prior: Prior,
     search: Search,
 }
@@ -52,13 +54,16 @@ impl Scene {
         let seen = structure.iter().filter(|_| rng.random_bool(0.7)).copied().collect::<Vec<_>>();
         let noisy = seen.iter().map(|p| p.map(|v| (v + rng.random_range(-0.15..0.15)) as f32));
         let points: Vec<[f32; 2]> = noisy.collect();
-        Self { view, batch: Batch { points, ..Batch::default() }, prior, search }
+        let mut thinned = Vec::new();
+        Thinner::default().thin(&points, EXTENT_M as f32, 0.4, &mut thinned);
+        Self { view, batch: Batch { points, ..Batch::default() }, thinned, prior, search }
     }
 
     fn question(&self) -> Question<'_> {
         Question {
             view: &self.view,
             batch: &self.batch,
+            thinned: &self.thinned,
             prior: &self.prior,
             search: &self.search,
             lattice: Lattice::of(&self.prior, &self.search),
