@@ -2,7 +2,9 @@
 //!
 //! - [`commands`]: one file a subcommand.
 //! - [`contribute`]: a drive goes to the map, through the vehicle's own recorder and spool.
+//! - [`evaluate`]: the paper's experiments in one process.
 //! - [`fixes`]: a drive asks where it is, and the answers are compared with the truth.
+//! - [`report`]: generated sections of written pages.
 //! - [`statistics`]: percentiles and the table beside the paper's figures.
 //! - [`progress`]: bars for people, silence for machines.
 
@@ -10,8 +12,10 @@
 
 mod commands;
 mod contribute;
+mod evaluate;
 mod fixes;
 mod progress;
+mod report;
 mod statistics;
 
 use std::process::ExitCode;
@@ -43,6 +47,8 @@ enum Command {
     Map(commands::map::Args),
     /// Replay a drive log against the service, and compare its answers with the truth.
     Localize(commands::localize::Args),
+    /// Repeat the paper's experiments on simulated towns or drive logs.
+    Evaluate(commands::evaluate::Args),
     /// Show what a running service holds and whether it is ready.
     Status(commands::status::Args),
 }
@@ -64,6 +70,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Simulate(args) => commands::simulate::run(&args, json),
         Command::Import(args) => commands::import::run(&args, json),
+        Command::Evaluate(args) => commands::evaluate::run(&args, json),
         Command::Status(args) => commands::status::run(&args, json),
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
         Command::Map(args) => in_runtime(commands::map::run(args, json)),

@@ -1,6 +1,7 @@
 //! One file a subcommand.
 
 pub mod demo;
+pub mod evaluate;
 pub mod import;
 pub mod localize;
 pub mod map;
