@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use crate::evaluate::condition::Experiment;
-use crate::evaluate::method::Windows;
+use crate::evaluate::method::{Name, Windows};
 use crate::evaluate::record::Record;
 use crate::evaluate::run::{Plan, run as ask_all};
 use crate::evaluate::world::World;
@@ -16,7 +16,7 @@ use crate::progress;
 #[derive(clap::Args)]
 pub struct Args {
     /// Seeds of the simulated towns.
-    #[arg(long, value_delimiter = ',', default_value = "1,2,3,4,5,6,7,8")]
+    #[arg(long, value_delimiter = ',', default_value = "21,22,23,24,25,26,27,28")]
     world_seeds: Vec<u64>,
     /// Epochs of a town, at most.
     #[arg(long, default_value_t = 300)]
@@ -36,6 +36,9 @@ pub struct Args {
     /// Only these experiments.
     #[arg(long, value_delimiter = ',')]
     only: Vec<Experiment>,
+    /// The methods, in the order of the tables.
+    #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
+    methods: Vec<Name>,
     /// Contributors of the crowd experiment's maps.
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
@@ -70,6 +73,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
         swept: args.swept_per_world,
         priors: args.priors,
         seed: args.seed,
+        methods: args.methods.clone(),
     };
     let windows = Windows::new(args.windows_mib);
     let bar = progress::bar("epochs", 0, json);

@@ -17,8 +17,9 @@ use super::world::World;
 
 /// The longest batch; every epoch has that much behind it, so that all lengths see the same epochs.
 const WARM_UP_US: i64 = 8_000_000;
-/// Epochs this far apart count as independent: poses and structure have changed, microseconds.
-const BLOCK_US: i64 = 30_000_000;
+/// Epochs this far apart count as independent: structure and the errors of the map's poses have
+/// changed, microseconds.
+const BLOCK_US: i64 = 120_000_000;
 
 /// The paper's rough guess: one sigma of the position along each axis, metres.
 pub const SIGMA_POSITION_M: f64 = 2.0;

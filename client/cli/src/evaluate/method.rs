@@ -59,12 +59,24 @@ pub trait Method: Send {
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome;
 }
 
-/// Every method, in the order of the tables; `windows` is shared by all threads.
-pub fn all(windows: &Arc<Windows>) -> Vec<Box<dyn Method>> {
-    vec![
-        Box::new(Paper { windows: Arc::clone(windows), workspace: Workspace::default() }),
-        Box::new(Echofix { windows: Arc::clone(windows), workspace: Workspace::default() }),
-    ]
+/// A method by its name on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Name {
+    /// The paper's: the hypothesis of the highest correlation.
+    Paper,
+    /// The service's.
+    Echofix,
+}
+
+impl Name {
+    /// The method, for one thread; `windows` is shared by all.
+    pub fn method(self, windows: &Arc<Windows>) -> Box<dyn Method> {
+        let (windows, workspace) = (Arc::clone(windows), Workspace::default());
+        match self {
+            Self::Paper => Box::new(Paper { windows, workspace }),
+            Self::Echofix => Box::new(Echofix { windows, workspace }),
+        }
+    }
 }
 
 /// Prepared windows, the least recently used forgotten.

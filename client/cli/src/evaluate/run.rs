@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::condition::Condition;
 use super::epoch::{Asked, Epoch, ask, epochs, prior};
 use super::map::Movers;
-use super::method::{self, Method, Windows};
+use super::method::{Method, Name, Windows};
 use super::record::{Facts, Record};
 use super::world::World;
 
@@ -29,6 +29,8 @@ pub struct Plan {
     pub priors: usize,
     /// Seed of priors and drift.
     pub seed: u64,
+    /// The methods, in the order of the tables.
+    pub methods: Vec<Name>,
 }
 
 /// Asks every method at a world's epochs; the rows are in order of epoch, condition, prior and method.
@@ -45,7 +47,7 @@ pub fn run(
     let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
     bar.inc_length(epochs.len() as u64);
     let rows = epochs.par_iter().map_init(
-        || method::all(windows),
+        || plan.methods.iter().map(|name| name.method(windows)).collect::<Vec<_>>(),
         |methods, epoch| {
             let rows = at_epoch(world, epoch, conditions, plan, methods);
             bar.inc(1);

@@ -1,7 +1,7 @@
 //! Simulated worlds: a town mapped on one day and driven again on another.
 
 use echofix_core::drive::Drive;
-use echofix_sim::{City, CityParams, DriveParams, OdometryModel, Route, simulate};
+use echofix_sim::{City, DriveParams, OdometryModel, Route, downtown, simulate};
 use rayon::prelude::*;
 
 use super::world::Drives;
@@ -17,7 +17,7 @@ const DAYS_LATER: u32 = 3;
 /// # Errors
 /// When a parameter is out of range.
 pub fn town(seed: u64, contributors: usize) -> anyhow::Result<Drives> {
-    let city = City::generate(&CityParams { seed, ..CityParams::default() })?;
+    let city = City::generate(&downtown::city(seed))?;
     drives(&city, seed, contributors)
 }
 
@@ -32,7 +32,7 @@ fn drives(city: &City, seed: u64, contributors: usize) -> anyhow::Result<Drives>
 }
 
 fn drive(city: &City, day: u32, route: &Route, seed: u64) -> anyhow::Result<Drive> {
-    let base = DriveParams::default();
+    let base = downtown::drive();
     let params = DriveParams {
         vehicle: format!("vehicle-{seed}"),
         seed,
