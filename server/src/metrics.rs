@@ -28,8 +28,10 @@ pub struct Metrics {
     pub queue_seconds: Histogram,
     /// Seconds from an upload's last byte to its acknowledgement.
     pub commit_seconds: Histogram,
-    /// Windows found in the cache and built anew, by outcome `hit` and `miss`.
+    /// Requests whose tiles were all in the cache, and others, by outcome `hit` and `miss`.
     pub windows: Family<Outcome, Counter>,
+    /// Answers asked again of the exhaustive engine, by outcome `agree` and `differ`.
+    pub confirmations: Family<Outcome, Counter>,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
     /// Contributions in the journal that are not folded yet.
@@ -47,6 +49,7 @@ impl Default for Metrics {
             queue_seconds: seconds(),
             commit_seconds: seconds(),
             windows: Family::default(),
+            confirmations: Family::default(),
             epoch: Gauge::default(),
             unfolded: Gauge::default(),
         };
@@ -66,7 +69,9 @@ impl Metrics {
         seconds("align", "Time spent aligning a batch", &self.align_seconds);
         seconds("queue", "Time a localization request waited for a compute slot", &self.queue_seconds);
         seconds("commit", "Time from an upload's last byte to its acknowledgement", &self.commit_seconds);
-        r.register("windows", "Windows found in the cache and built anew", self.windows.clone());
+        r.register("windows", "Requests by whether all their tiles were prepared", self.windows.clone());
+        let again = "Answers asked again of the exhaustive engine";
+        r.register("confirmations", again, self.confirmations.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
         r.register(
             "unfolded_contributions",

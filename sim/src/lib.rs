@@ -20,17 +20,20 @@
 //! - [`plane`]: points and segments; `index`: which of them are near a place or along a ray.
 //! - [`site`]: where the town lies on the globe.
 //! - [`city`]: streets, building fronts, street furniture; parked cars and traffic of a day.
+//! - [`scenes`]: single streets that are made to be mistaken.
 //! - [`route`]: ways through the town: a survey of all streets, a random walk.
 //! - [`motion`]: when a vehicle is where on its route.
 //! - [`radar`]: what a radar can do, and one radar at work.
 //! - [`odometry`], [`mod@reference`]: what the vehicle believes about its motion and its pose.
 //! - [`drive`]: all of it together: one recorded drive.
+//! - [`downtown`]: parameters that make all of it as hard as the paper's downtown.
 //!
 //! Frames: city metres are ground metres around the city's origin, x towards grid east, y towards
 //! grid north; [`Site`] turns them into map metres. The body's origin is the middle of the rear axle,
 //! x forward, y left.
 
 pub mod city;
+pub mod downtown;
 pub mod drive;
 pub mod error;
 mod index;
@@ -41,6 +44,7 @@ pub mod radar;
 pub mod reference;
 pub mod rng;
 pub mod route;
+pub mod scenes;
 pub mod site;
 
 pub use city::{City, CityDay, CityParams};
@@ -50,4 +54,5 @@ pub use odometry::{DeadReckoning, Drift, Growth, OdometryModel};
 pub use radar::RadarSpec;
 pub use reference::PoseError;
 pub use route::Route;
+pub use scenes::Scene;
 pub use site::Site;

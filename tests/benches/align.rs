@@ -8,7 +8,8 @@ use std::sync::{Arc, LazyLock};
 use divan::{Bencher, black_box};
 use echofix_core::align::fft::{Plans, Workspace as FftWorkspace};
 use echofix_core::align::verdict::Integrity;
-use echofix_core::align::{PreparedMap, Prior, Search, Workspace, align, fast_global_align};
+use echofix_core::align::weights::TileWeights;
+use echofix_core::align::{Aligner, EngineKind, Prior, Search, Task};
 use echofix_core::batch::Batch;
 use echofix_core::drive::GeoPose;
 use echofix_core::evidence::{Pass, contribute};
@@ -16,8 +17,11 @@ use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::Gate;
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::window::{Frame, Window};
+use echofix_core::window::Frame;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
+
+#[global_allocator]
+static ALLOCATOR: divan::AllocProfiler = divan::AllocProfiler::system();
 
 fn main() {
     divan::main();
@@ -72,12 +76,16 @@ impl Scene {
         Self { tiles, frame, batch, prior }
     }
 
-    fn window(&self) -> Window {
-        Window::stitch(self.frame, self.frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    fn weights(&self) -> Vec<Arc<TileWeights>> {
+        let known = self.frame.tiles().filter(|id| self.tiles.contains_key(id));
+        known.map(|id| Arc::new(TileWeights::new(id, |at| self.tiles.get(&at)))).collect()
     }
 
-    fn prepared(&self) -> PreparedMap {
-        PreparedMap::new(self.window(), Arc::new(Plans::new(self.frame.side)), &Search::default())
+    fn fix(&self, bencher: Bencher, kind: EngineKind) {
+        let (tiles, mut aligner) = (self.weights(), Aligner::default());
+        let (search, integrity) = (Search::default(), Integrity::default());
+        let task = Task { frame: self.frame, tiles: &tiles, batch: &self.batch, prior: &self.prior };
+        bencher.bench_local(|| aligner.align(&task, kind, &search, &integrity));
     }
 }
 
@@ -88,27 +96,29 @@ fn on_grid(grid: &Grid, poses: &[GeoPose]) -> Trajectory {
     Trajectory::new(placed).expect("the simulator's poses are in order")
 }
 
-/// The whole answer: search, refinement, verdict.
-#[divan::bench(sample_count = 20)]
-fn whole_fix(bencher: Bencher) {
-    let (map, mut workspace) = (SCENE.prepared(), Workspace::default());
-    let (search, integrity) = (Search::default(), Integrity::default());
-    bencher.bench_local(|| align(&map, &SCENE.batch, &SCENE.prior, &search, &integrity, &mut workspace));
+/// The whole answer: search, climb, verdict. What it allocates is the answer's own.
+#[divan::bench(sample_count = 200)]
+fn fix_fast(bencher: Bencher) {
+    SCENE.fix(bencher, EngineKind::Fast);
 }
 
-/// The paper's part of it: 19 headings, 121 x 121 shifts each.
-#[divan::bench(sample_count = 20)]
-fn exhaustive_search(bencher: Bencher) {
-    let (map, mut workspace) = (SCENE.prepared(), Workspace::default());
-    let search = Search::default();
-    bencher.bench_local(|| fast_global_align(&map, &SCENE.batch, &SCENE.prior, &search, &mut workspace));
+/// The same with the exact maximum, by bounds.
+#[divan::bench(sample_count = 100)]
+fn fix_bounded(bencher: Bencher) {
+    SCENE.fix(bencher, EngineKind::Bounded);
 }
 
-/// What a window costs when it is not in the cache.
+/// The same by the FFT: 19 headings, 121 x 121 shifts each.
 #[divan::bench(sample_count = 20)]
-fn window_prepared(bencher: Bencher) {
-    let plans = Arc::new(Plans::new(SCENE.frame.side));
-    bencher.bench_local(|| PreparedMap::new(SCENE.window(), Arc::clone(&plans), &Search::default()));
+fn fix_fft(bencher: Bencher) {
+    SCENE.fix(bencher, EngineKind::Fft);
+}
+
+/// What a tile costs when it is not in the cache.
+#[divan::bench(sample_count = 50)]
+fn tile_prepared(bencher: Bencher) {
+    let busiest = SCENE.tiles.iter().max_by_key(|(_, tile)| tile.len()).expect("the map has tiles");
+    bencher.bench_local(|| TileWeights::new(*busiest.0, |at| SCENE.tiles.get(&at)));
 }
 
 /// One heading's correlation by the side of the window: why windows are 1200 cells wide.

@@ -106,6 +106,7 @@ impl Truth {
             pose: Some(GeodeticPose { latitude_deg: at.lat_deg, longitude_deg: at.lon_deg, yaw_rad }),
             sigma_position_m: sigma.position_m,
             sigma_yaw_rad: sigma.yaw_rad,
+            ..Prior::default()
         }
     }
 

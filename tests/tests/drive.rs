@@ -111,7 +111,7 @@ async fn an_answer_carries_all_a_vehicle_needs_to_judge_it() {
 fn frames_agree(answer: &LocalizeResponse, request: &LocalizeRequest) {
     assert_eq!(answer.time_us, request.batch.as_ref().unwrap().reference_time_us);
     let (pose, utm, correction) = (answer.pose.unwrap(), answer.utm.unwrap(), answer.correction.unwrap());
-    let prior = request.prior.and_then(|prior| prior.pose).unwrap();
+    let prior = request.prior.as_ref().and_then(|prior| prior.pose).unwrap();
     let grid = Grid::of(LatLon { lat_deg: prior.latitude_deg, lon_deg: prior.longitude_deg }).unwrap();
     assert_eq!(utm.epsg, u32::from(grid.zone().epsg()));
     let on_grid = |p: echofix_proto::v1::GeodeticPose| {
@@ -169,7 +169,7 @@ fn bounds_make_sense(answer: &LocalizeResponse) {
 fn facts_make_sense(answer: &LocalizeResponse, world: &World) {
     let facts = answer.diagnostics.unwrap();
     assert!(facts.detections_used > 0 && facts.detections_used <= facts.detections_sent, "{facts:?}");
-    assert!(facts.batch_cells > 0 && facts.batch_cells <= facts.detections_used, "{facts:?}");
+    assert!(facts.batch_blocks > 0 && facts.batch_blocks <= facts.detections_used, "{facts:?}");
     assert!((0.5..=5.1).contains(&facts.batch_duration_s), "{facts:?}");
     assert!((1.0..=80.0).contains(&facts.travelled_m), "{facts:?}");
     assert!((6.0..=6.2).contains(&facts.search_half_width_m), "three sigma of 2 m: {facts:?}");

@@ -2,9 +2,11 @@
 //!
 //! - [`commands`]: one file a subcommand.
 //! - [`contribute`]: a drive goes to the map, through the vehicle's own recorder and spool.
+//! - [`evaluate`]: the paper's experiments in one process.
 //! - [`fixes`]: a drive asks where it is, and the answers are compared with the truth.
 //! - [`service`]: the service as a process of its own.
 //! - [`bench`]: what a fix costs on this machine.
+//! - [`report`]: generated sections of written pages.
 //! - [`statistics`]: percentiles and the table beside the paper's figures.
 //! - [`progress`]: bars for people, silence for machines.
 
@@ -13,9 +15,11 @@
 mod bench;
 mod commands;
 mod contribute;
+mod evaluate;
 mod fixes;
 mod progress;
 mod service;
+mod report;
 mod statistics;
 
 use std::process::ExitCode;
@@ -49,6 +53,8 @@ enum Command {
     Map(commands::map::Args),
     /// Replay a drive log against the service, and compare its answers with the truth.
     Localize(commands::localize::Args),
+    /// Repeat the paper's experiments on simulated towns or drive logs.
+    Evaluate(commands::evaluate::Args),
     /// Show what a running service holds and whether it is ready.
     Status(commands::status::Args),
 }
@@ -70,6 +76,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Simulate(args) => commands::simulate::run(&args, json),
         Command::Import(args) => commands::import::run(&args, json),
+        Command::Evaluate(args) => commands::evaluate::run(&args, json),
         Command::Status(args) => commands::status::run(&args, json),
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
         Command::Bench(args) => in_runtime(commands::bench::run(args, json)),

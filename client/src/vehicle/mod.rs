@@ -272,6 +272,7 @@ impl Vehicle {
             }),
             sigma_position_m: pose.sigma_position_m.max(self.config.min_prior_sigma_position_m),
             sigma_yaw_rad: pose.sigma_yaw_rad.max(self.config.min_prior_sigma_yaw_rad),
+            ..v1::Prior::default()
         }
     }
 }

@@ -6,16 +6,13 @@ use super::climb::{self, Flexible, Summit};
 use super::correlation::Lattice;
 use super::engine::{Bounded, Engine, Fast, Fft, Peak, Question};
 use super::score::Field;
-use super::thin::Thinner;
+use super::thin::{BLOCK_M, Thinner};
 use super::verdict::{Case, Integrity};
 use super::view::MapView;
 use super::weights::TileWeights;
 use super::{Alignment, Prior, Search};
 use crate::batch::Batch;
 use crate::window::Frame;
-
-/// Blocks to which a batch is thinned, metres.
-const BLOCK_M: f32 = 0.4;
 
 /// Which engine searches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -14,6 +14,7 @@
 mod aligner;
 mod cells;
 pub mod climb;
+pub mod combine;
 pub mod correlation;
 pub mod engine;
 pub mod fft;

@@ -1,6 +1,9 @@
 //! A batch, thinned: one point for each block that holds any. Ten returns from one lamp post in one
 //! batch are not ten witnesses.
 
+/// Side of the blocks that the service thins to, metres.
+pub const BLOCK_M: f32 = 0.4;
+
 /// Thins points to one, their mean, for each block of a square grid.
 #[derive(Default)]
 pub struct Thinner {

@@ -313,10 +313,10 @@ fn worst_sigma_m(covariance: &[[f64; 3]; 3]) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn answer() -> Alignment {
+    pub(in crate::align) fn answer() -> Alignment {
         Alignment {
             pose: Pose2::IDENTITY,
             correction: Pose2::IDENTITY,

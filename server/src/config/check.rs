@@ -37,9 +37,19 @@ impl Config {
             ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
             ("locating.queue", locating.queue <= 4096, "must be at most 4096"),
             (
-                "locating.window_cache_mib",
-                (1..=1 << 20).contains(&locating.window_cache_mib),
+                "locating.tile_cache_mib",
+                (1..=1 << 20).contains(&locating.tile_cache_mib),
                 "must lie within 1 and 1048576",
+            ),
+            (
+                "locating.confirm_share",
+                (0.0..=1.0).contains(&locating.confirm_share),
+                "must lie within 0 and 1",
+            ),
+            (
+                "locating.wide_search_m",
+                (0.0..=100.0).contains(&locating.wide_search_m),
+                "must lie within 0 and 100",
             ),
             (
                 "locating.min_speed_mps",

@@ -60,8 +60,10 @@ fn locating_beyond_reason_is_refused() {
     let cases = [
         ("threads", "1025"),
         ("queue", "4097"),
-        ("window_cache_mib", "0"),
-        ("window_cache_mib", "1048577"),
+        ("tile_cache_mib", "0"),
+        ("tile_cache_mib", "1048577"),
+        ("confirm_share", "1.1"),
+        ("wide_search_m", "-1.0"),
         ("min_speed_mps", "-0.1"),
         ("min_speed_mps", "inf"),
         ("max_range_m", "0.0"),

@@ -9,8 +9,10 @@ use echofix_core::scan::Mount;
 use echofix_proto::v1;
 
 mod scans;
+mod uncertainty;
 
 pub use scans::{Scans, scans};
+pub use uncertainty::{Uncertainty, uncertainty};
 
 pub use super::violation::Violation;
 use super::violation::{require, required};

@@ -4,6 +4,8 @@ mod encode;
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use echofix_core::batch::Batch;
 use echofix_proto::v1::localization_service_server::LocalizationService;
@@ -12,6 +14,7 @@ use echofix_proto::v1::{
     FixStatus, LocalizeRequest, LocalizeResponse, LocalizeStreamRequest, LocalizeStreamResponse,
 };
 use tokio_stream::{Stream, StreamExt};
+use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
 
@@ -29,6 +32,7 @@ pub struct LocalizationApi {
 }
 
 struct Inner {
+    answered: AtomicU64,
     locator: Arc<Locator>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
@@ -38,7 +42,7 @@ impl LocalizationApi {
     /// Answers from a locator; tells the feed and the metrics what came of each question.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
-        Self { inner: Arc::new(Inner { locator, feed, metrics }) }
+        Self { inner: Arc::new(Inner { answered: AtomicU64::new(0), locator, feed, metrics }) }
     }
 
     /// Answers one question on this thread, from its columns to its answer.
@@ -46,7 +50,7 @@ impl LocalizationApi {
     /// # Errors
     /// The refusal, as the call would return it.
     pub fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
-        self.inner.work(request, admitted)
+        self.inner.work(request, None, admitted).map(|(response, _)| response)
     }
 }
 
@@ -56,7 +60,8 @@ impl LocalizationService for LocalizationApi {
         &self,
         request: Request<LocalizeRequest>,
     ) -> Result<Response<LocalizeResponse>, Status> {
-        self.inner.answer(request.into_inner()).await.map(Response::new)
+        let deadline = deadline(request.metadata());
+        self.inner.answer(request.into_inner(), deadline).await.map(Response::new)
     }
 
     type LocalizeStreamStream = Pin<Box<dyn Stream<Item = Result<LocalizeStreamResponse, Status>> + Send>>;
@@ -70,7 +75,7 @@ impl LocalizationService for LocalizationApi {
             let inner = Arc::clone(&inner);
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked?;
-                let outcome = match inner.answer(request.unwrap_or_default()).await {
+                let outcome = match inner.answer(request.unwrap_or_default(), None).await {
                     Ok(response) => Streamed::Response(response),
                     Err(status) => Streamed::Error(as_message(&status)),
                 };
@@ -92,24 +97,64 @@ fn as_message(status: &Status) -> pb::Status {
 }
 
 impl Inner {
-    async fn answer(self: &Arc<Self>, request: LocalizeRequest) -> Result<LocalizeResponse, Status> {
+    async fn answer(
+        self: &Arc<Self>,
+        request: LocalizeRequest,
+        deadline: Option<Instant>,
+    ) -> Result<LocalizeResponse, Status> {
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
-        blocking(move || inner.work(request, admitted)).await?
+        let (response, doubt) = blocking(move || inner.work(request, deadline, admitted)).await??;
+        if let Some(doubt) = doubt {
+            let inner = Arc::clone(self);
+            tokio::task::spawn_blocking(move || inner.confirm(doubt));
+        }
+        Ok(response)
     }
 
-    /// Decodes, answers, encodes and tells; computes for a while.
-    fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
-        let asked = self.question(request).map_err(|violation| {
+    /// Decodes, answers, encodes and tells; computes for a while. Now and then the answer is to be
+    /// confirmed afterwards, on the same compute slot.
+    fn work(
+        &self,
+        request: LocalizeRequest,
+        deadline: Option<Instant>,
+        mut admitted: Admitted,
+    ) -> Result<(LocalizeResponse, Option<Doubt>), Status> {
+        let asked = self.question(request, deadline).map_err(|violation| {
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
         })?;
         let (at, reference_time_us) = (asked.question.at, asked.reference_time_us);
         let batch = BatchFacts::of(&asked.question.batch);
-        let answer = self.locator.locate(&asked.question, admitted).map_err(|r| self.refuse(&r))?;
+        let answer = self.locator.locate(&asked.question, &mut admitted).map_err(|r| self.refuse(&r))?;
         let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
         self.tell(&answer, &response, at.lat_deg, at.lon_deg);
-        Ok(response)
+        let doubt = self.is_sampled().then(|| Doubt { question: asked.question, answer, admitted });
+        Ok((response, doubt))
+    }
+
+    /// True for the share of the answers that is to be confirmed, evenly spread.
+    fn is_sampled(&self) -> bool {
+        let share = self.locator.config().confirm_share;
+        let count = self.answered.fetch_add(1, Ordering::Relaxed) as f64;
+        ((count + 1.0) * share).floor() > (count * share).floor()
+    }
+
+    /// Asks the exhaustive engine the same; computes for long.
+    fn confirm(&self, doubt: Doubt) {
+        let Doubt { question, answer, mut admitted } = doubt;
+        let outcome = match self.locator.confirms(&question, &answer, &mut admitted) {
+            Ok(true) => "agree",
+            Ok(false) => {
+                tracing::warn!("the exhaustive search found another pose than the answer's");
+                "differ"
+            }
+            Err(error) => {
+                tracing::debug!(%error, "an answer could not be confirmed");
+                return;
+            }
+        };
+        self.metrics.confirmations.get_or_create(&Outcome { outcome }).inc();
     }
 
     fn refuse(&self, refusal: &Refusal) -> Status {
@@ -117,15 +162,12 @@ impl Inner {
         refused(refusal)
     }
 
-    fn question(&self, request: LocalizeRequest) -> Result<Asked, Violation> {
+    fn question(&self, request: LocalizeRequest, deadline: Option<Instant>) -> Result<Asked, Violation> {
         let batch = decode::batch(request.batch, "batch")?;
         let prior = required(request.prior, "prior")?;
         let (at, yaw_rad) = decode::geodetic_pose(prior.pose, "prior.pose")?;
-        let sigma = |value: f64, field: &str| {
-            require(value.is_finite() && value > 0.0, field, "must be a positive number")
-        };
-        sigma(prior.sigma_position_m, "prior.sigma_position_m")?;
-        sigma(prior.sigma_yaw_rad, "prior.sigma_yaw_rad")?;
+        let combine = prior.combine;
+        let believed = decode::uncertainty(&prior)?;
         let requirement = request.requirement.unwrap_or_default();
         let (risk, limit) = (requirement.integrity_risk, requirement.alert_limit_m);
         require((0.0..1.0).contains(&risk), "requirement.integrity_risk", "must be a probability below 1")?;
@@ -139,8 +181,11 @@ impl Inner {
             batch,
             at,
             yaw_rad,
-            sigma_position_m: prior.sigma_position_m,
-            sigma_yaw_rad: prior.sigma_yaw_rad,
+            covariance: believed.covariance,
+            sigma_position_m: believed.sigma_position_m,
+            sigma_yaw_rad: believed.sigma_yaw_rad,
+            combine,
+            deadline,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
         Ok(Asked { question, reference_time_us, alert_limit_m: limit })
@@ -178,6 +223,30 @@ impl Inner {
             align_ms: milliseconds(answer.timing.align),
         });
     }
+}
+
+/// An answer that is to be confirmed.
+struct Doubt {
+    question: Question,
+    answer: Answer,
+    admitted: Admitted,
+}
+
+/// When the caller no longer waits, as its `grpc-timeout` says.
+fn deadline(metadata: &MetadataMap) -> Option<Instant> {
+    let timeout = metadata.get("grpc-timeout")?.to_str().ok()?;
+    let (digits, unit) = timeout.split_at_checked(timeout.len().checked_sub(1)?)?;
+    let count: u64 = digits.parse().ok()?;
+    let wait = match unit {
+        "H" => Duration::from_secs(count.checked_mul(3600)?),
+        "M" => Duration::from_secs(count.checked_mul(60)?),
+        "S" => Duration::from_secs(count),
+        "m" => Duration::from_millis(count),
+        "u" => Duration::from_micros(count),
+        "n" => Duration::from_nanos(count),
+        _ => return None,
+    };
+    Instant::now().checked_add(wait)
 }
 
 struct Asked {

@@ -1,84 +1,82 @@
-//! Prepared windows, kept while memory lasts.
+//! Tiles as weights, kept while memory lasts.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use echofix_core::align::fft::Plans;
-use echofix_core::align::{PreparedMap, Search};
+use echofix_core::align::weights::TileWeights;
 use echofix_core::geo::TileId;
-use echofix_core::window::{Frame, Window};
+use echofix_core::window::Frame;
 use moka::sync::Cache;
 
-use crate::store::{Error, MapStore};
+use crate::store::{Error, MapStore, TileInfo};
 
-/// A window of the map as it was in certain versions of its tiles: a change makes another key, and
-/// the old one is forgotten as the least recently used.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+/// A tile as it was in certain versions of it and its eight neighbours, whose hits reach across its
+/// borders (0 where there is none): a change makes another key, and the old one is forgotten as the
+/// least recently used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Key {
-    frame: Frame,
-    versions: Arc<[(TileId, u64)]>,
+    id: TileId,
+    versions: [u64; 9],
 }
 
-/// A window and where it came from.
+/// The tiles of a square.
 pub(super) struct Found {
-    pub map: Arc<PreparedMap>,
-    /// Epoch of the map when it was looked up.
+    pub tiles: Vec<Arc<TileWeights>>,
+    /// Epoch of the map when they were looked up.
     pub epoch: u64,
+    /// True when none had to be prepared.
     pub cached: bool,
 }
 
-/// Windows by their square and the versions of their tiles.
-pub(super) struct WindowCache {
-    windows: Cache<Key, Arc<PreparedMap>>,
-    plans: Mutex<BTreeMap<usize, Arc<Plans>>>,
-    search: Search,
+/// Prepared tiles by their versions.
+pub(super) struct TileCache {
+    tiles: Cache<Key, Arc<TileWeights>>,
 }
 
-impl WindowCache {
-    pub(super) fn new(capacity_mib: u64, search: Search) -> Self {
-        let windows = Cache::builder()
-            .weigher(|_, map: &Arc<PreparedMap>| (map.bytes() >> 10) as u32)
+impl TileCache {
+    pub(super) fn new(capacity_mib: u64) -> Self {
+        let tiles = Cache::builder()
+            .weigher(|_, tile: &Arc<TileWeights>| (tile.bytes() >> 10) as u32)
             .max_capacity(capacity_mib << 10)
             .build();
-        Self { windows, plans: Mutex::default(), search }
+        Self { tiles }
     }
 
-    /// The window of a square; `None` where no tile exists. Blocks.
-    pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<Option<Found>, Arc<Error>> {
+    /// The tiles of a square; none where nothing was ever seen. Blocks.
+    pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<Found, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
         for tile in frame.tiles() {
             x = (x.0.min(tile.x), x.1.max(tile.x));
             y = (y.0.min(tile.y), y.1.max(tile.y));
         }
-        let catalog = store.catalog(frame.zone, x.0..=x.1, y.0..=y.1)?;
-        let versions: Arc<[_]> = catalog.iter().map(|info| (info.id, info.version)).collect();
-        if versions.is_empty() {
-            return Ok(None);
+        let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
+        let mut found = Found { tiles: Vec::new(), epoch, cached: true };
+        for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
+            let key = Key { id, versions: around(id).map(|near| version(&catalog, near)) };
+            let tile = self.tiles.try_get_with_by_ref(&key, || {
+                found.cached = false;
+                prepare(store, &key)
+            })?;
+            found.tiles.push(tile);
         }
-        let mut cached = true;
-        let key = Key { frame, versions };
-        let map = self.windows.try_get_with_by_ref(&key, || {
-            cached = false;
-            self.prepare(store, &key)
-        })?;
-        Ok(Some(Found { map, epoch, cached }))
+        Ok(found)
     }
+}
 
-    fn prepare(&self, store: &dyn MapStore, key: &Key) -> Result<Arc<PreparedMap>, Error> {
-        let mut tiles = Vec::with_capacity(key.versions.len());
-        for (id, _) in key.versions.iter() {
-            if let Some(stored) = store.tile(*id)? {
-                tiles.push((*id, stored.tile));
-            }
-        }
-        let window = Window::stitch(key.frame, tiles.iter().map(|(id, tile)| (*id, &**tile)));
-        Ok(Arc::new(PreparedMap::new(window, self.plans(key.frame.side), &self.search)))
-    }
+fn version(catalog: &[TileInfo], id: TileId) -> u64 {
+    catalog.iter().find(|info| info.id == id).map_or(0, |info| info.version)
+}
 
-    fn plans(&self, side: usize) -> Arc<Plans> {
-        // A panic while holding the lock leaves a map that is still a map.
-        let mut plans = self.plans.lock().unwrap_or_else(PoisonError::into_inner);
-        Arc::clone(plans.entry(side).or_insert_with(|| Arc::new(Plans::new(side))))
+/// A tile and its neighbours, row by row.
+fn around(id: TileId) -> [TileId; 9] {
+    std::array::from_fn(|i| TileId { x: id.x + i as i32 % 3 - 1, y: id.y + i as i32 / 3 - 1, ..id })
+}
+
+fn prepare(store: &dyn MapStore, key: &Key) -> Result<Arc<TileWeights>, Error> {
+    let mut near = Vec::with_capacity(key.versions.len());
+    for (id, _) in around(key.id).into_iter().zip(key.versions).filter(|(_, version)| *version != 0) {
+        near.extend(store.tile(id)?.map(|stored| (id, stored.tile)));
     }
+    let find = |id| near.iter().find(|(at, _)| *at == id).map(|(_, tile)| &**tile);
+    Ok(Arc::new(TileWeights::new(key.id, find)))
 }

@@ -1,9 +1,34 @@
 //! How to locate.
 
-use echofix_core::align::Search;
+use echofix_core::align::{EngineKind, Search};
 use echofix_core::align::verdict::Integrity;
 use echofix_core::scan::Gate;
 use serde::{Deserialize, Serialize};
+
+/// Ways to find the maximum of the correlation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Engine {
+    /// The fastest for the request.
+    Auto,
+    /// Coarse to fine.
+    Fast,
+    /// Exact, by bounds.
+    Bounded,
+    /// Exact, every hypothesis.
+    Fft,
+}
+
+impl From<Engine> for EngineKind {
+    fn from(engine: Engine) -> Self {
+        match engine {
+            // Coarse to fine is the fastest at every width and batch measured: BENCHMARKS.md.
+            Engine::Auto | Engine::Fast => Self::Fast,
+            Engine::Bounded => Self::Bounded,
+            Engine::Fft => Self::Fft,
+        }
+    }
+}
 
 /// The `[locating]` section; `echofix.toml` documents each key.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -13,8 +38,15 @@ pub struct LocatingConfig {
     pub threads: usize,
     /// Requests that may wait for one of them.
     pub queue: usize,
-    /// Memory for prepared windows, MiB.
-    pub window_cache_mib: u64,
+    /// Memory for prepared tiles, MiB.
+    pub tile_cache_mib: u64,
+    /// Which engine searches.
+    pub engine: Engine,
+    /// Share of the answers that are asked again of the exhaustive engine.
+    pub confirm_share: f64,
+    /// Half width of the search that is made when the prior's does not hold the answer, metres; 0 for
+    /// none.
+    pub wide_search_m: f64,
     /// Slower vehicles are refused, metres per second.
     pub min_speed_mps: f64,
     /// Detections farther away are dropped, metres.

@@ -9,13 +9,14 @@ use std::time::{Duration, Instant};
 
 pub use config::LocatingConfig;
 use echofix_core::align::verdict::{Protection, Verdict};
-use echofix_core::align::{self, Alignment, Prior};
+use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
+use echofix_core::pose::Pose2;
 use echofix_core::window::Frame;
 
 use crate::store::{self, MapStore};
-use cache::WindowCache;
+use cache::{Found, TileCache};
 use slots::{Slot, Slots};
 
 /// A batch, what the vehicle believes, and what it needs.
@@ -27,10 +28,16 @@ pub struct Question {
     pub at: LatLon,
     /// Its heading, radians counter-clockwise from true east.
     pub yaw_rad: f64,
-    /// One-sigma error of the position along each axis, metres.
+    /// Covariance of what it believes: (true east m, true north m, yaw rad).
+    pub covariance: [[f64; 3]; 3],
+    /// Its sigma of the position along its longest axis, metres.
     pub sigma_position_m: f64,
-    /// One-sigma error of the heading, radians.
+    /// Its sigma of the heading, radians.
     pub sigma_yaw_rad: f64,
+    /// Shall the answer contain what it believes?
+    pub combine: bool,
+    /// When the vehicle no longer waits.
+    pub deadline: Option<Instant>,
     /// The integrity risk the protection levels must hold for; `None` for the service's default.
     pub integrity_risk: Option<f64>,
 }
@@ -42,6 +49,8 @@ pub struct Answer {
     pub alignment: Alignment,
     /// The zone.
     pub zone: Zone,
+    /// The correction found within the prior's sigmas: metres east and north on the grid, radians.
+    pub found: Pose2,
     /// Corrected position.
     pub at: LatLon,
     /// Corrected heading, radians counter-clockwise from true east.
@@ -50,6 +59,10 @@ pub struct Answer {
     pub protection: Protection,
     /// The integrity risk they hold for.
     pub integrity_risk: f64,
+    /// True when the prior is combined into it.
+    pub contains_prior: bool,
+    /// True when the search was repeated over a wide area.
+    pub searched_wide: bool,
     /// The map it rests on.
     pub map: MapUsed,
     /// Where the time went.
@@ -74,9 +87,9 @@ pub struct MapUsed {
 pub struct Timing {
     /// Waiting for a compute slot.
     pub queued: Duration,
-    /// Fetching tiles and preparing the window.
+    /// Fetching tiles and preparing those that changed.
     pub window: Duration,
-    /// Whether the window came from the cache.
+    /// Whether all came from the cache.
     pub window_cached: bool,
     /// Aligning.
     pub align: Duration,
@@ -169,7 +182,7 @@ pub struct Admitted {
 pub struct Locator {
     store: Arc<dyn MapStore>,
     config: LocatingConfig,
-    windows: WindowCache,
+    tiles: TileCache,
     slots: Slots,
 }
 
@@ -177,9 +190,9 @@ impl Locator {
     /// A locator over a map.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
-        let windows = WindowCache::new(config.window_cache_mib, config.search());
+        let tiles = TileCache::new(config.tile_cache_mib);
         let slots = Slots::new(config.threads(), config.queue);
-        Self { store, config, windows, slots }
+        Self { store, config, tiles, slots }
     }
 
     /// Its configuration.
@@ -202,9 +215,29 @@ impl Locator {
     ///
     /// # Errors
     /// What cannot be answered is refused with the reason.
-    pub fn locate(&self, question: &Question, mut admitted: Admitted) -> Result<Answer, Refusal> {
+    pub fn locate(&self, question: &Question, admitted: &mut Admitted) -> Result<Answer, Refusal> {
         self.check(question)?;
-        self.answer(question, admitted.slot.workspace(), admitted.queued)
+        let queued = admitted.queued;
+        self.answer(question, admitted.slot.aligner(), queued)
+    }
+
+    /// Asks the question of an answer again, with the engine that tries every hypothesis. Takes some
+    /// hundred times as long as the answer.
+    ///
+    /// # Errors
+    /// When the map cannot be read any more.
+    pub fn confirms(
+        &self,
+        question: &Question,
+        answer: &Answer,
+        admitted: &mut Admitted,
+    ) -> Result<bool, Refusal> {
+        let place = self.place(question)?;
+        let found = self.tiles.get(&*self.store, place.frame).map_err(Refusal::Store)?;
+        let task = Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
+        let (search, integrity) = (self.config.search(), self.config.integrity());
+        let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
+        Ok(again.correction.distance_m(&answer.found) < CONFIRMED_WITHIN_M)
     }
 
     /// What needs no map to be refused.
@@ -228,13 +261,47 @@ impl Locator {
         bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())
     }
 
-    /// Window, alignment, bounds; blocks.
-    fn answer(
-        &self,
-        question: &Question,
-        workspace: &mut align::Workspace,
-        queued: Duration,
-    ) -> Result<Answer, Refusal> {
+    /// Tiles, alignment, bounds; blocks.
+    fn answer(&self, question: &Question, aligner: &mut Aligner, queued: Duration) -> Result<Answer, Refusal> {
+        let Place { grid, prior, frame } = self.place(question)?;
+        let fetching = Instant::now();
+        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
+        if found.tiles.is_empty() {
+            return Err(no_map(frame, question.at));
+        }
+        let window = fetching.elapsed();
+        let aligning = Instant::now();
+        let (search, integrity) = (self.config.search(), self.config.integrity());
+        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
+        let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
+        let correction = alignment.correction;
+        let wide = self.searched_wide(question, &grid, &prior, &alignment, aligner)?;
+        let searched_wide = wide.is_some();
+        alignment = wide.unwrap_or(alignment);
+        let combined = question.combine && alignment.verdict == Verdict::Usable;
+        let combined = combined.then(|| alignment.combined(&prior.pose, &question.covariance)).flatten();
+        let contains_prior = combined.is_some();
+        alignment = combined.unwrap_or(alignment);
+        let align = aligning.elapsed();
+        let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
+        let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
+        Ok(Answer {
+            protection: alignment.protection(&integrity, integrity_risk),
+            alignment,
+            found: correction,
+            zone: grid.zone(),
+            at,
+            yaw_rad,
+            integrity_risk,
+            contains_prior,
+            searched_wide,
+            map: used(&found),
+            timing: Timing { queued, window, window_cached: found.cached, align },
+        })
+    }
+
+    /// The prior on its grid, and the square around it.
+    fn place(&self, question: &Question) -> Result<Place, Refusal> {
         let grid = Grid::of(question.at)?;
         let prior = Prior {
             pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,
@@ -242,32 +309,67 @@ impl Locator {
             sigma_yaw_rad: question.sigma_yaw_rad,
             scale: grid.scale_factor(question.at)?,
         };
+        let frame = self.frame(&grid, &prior);
+        Ok(Place { grid, prior, frame })
+    }
+
+    fn frame(&self, grid: &Grid, prior: &Prior) -> Frame {
         let search = self.config.search();
-        let frame = Frame::around(
-            grid.zone(),
-            [prior.pose.x_m, prior.pose.y_m],
-            search.extent_m,
-            search.sigmas * prior.sigma_position_m,
-        );
-        let fetching = Instant::now();
-        let found = self.windows.get(&*self.store, frame).map_err(Refusal::Store)?;
-        let Some(found) = found else { return Err(no_map(frame, question.at)) };
-        let window = fetching.elapsed();
-        let aligning = Instant::now();
-        let integrity = self.config.integrity();
-        let alignment = align::align(&found.map, &question.batch, &prior, &search, &integrity, workspace);
-        let timing = Timing { queued, window, window_cached: found.cached, align: aligning.elapsed() };
-        let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
-        let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
-        let protection = alignment.protection(&integrity, integrity_risk);
-        let used = found.map.window();
-        let map = MapUsed {
-            epoch: found.epoch,
-            newest_day: used.newest_day,
-            tiles: used.tiles(),
-            cells: used.cells.len(),
+        let reach_m = search.sigmas * prior.sigma_position_m;
+        Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
+    }
+
+    /// A search of a wide area with all headings, when the answer lies on the edge of the prior's or
+    /// nothing there explains the batch, and there is time for it. What it finds, far from where the
+    /// vehicle believes to be, is to be asked for again, not to be used.
+    fn searched_wide(
+        &self,
+        question: &Question,
+        grid: &Grid,
+        prior: &Prior,
+        answer: &Alignment,
+        aligner: &mut Aligner,
+    ) -> Result<Option<Alignment>, Refusal> {
+        let astray = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
+        let late = question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
+        let (search, integrity) = (self.config.search(), self.config.integrity());
+        if !astray || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
+            return Ok(None);
+        }
+        let wide = Prior {
+            sigma_position_m: self.config.wide_search_m / search.sigmas,
+            sigma_yaw_rad: std::f64::consts::PI / search.sigmas,
+            ..*prior
         };
-        Ok(Answer { alignment, zone: grid.zone(), at, yaw_rad, protection, integrity_risk, map, timing })
+        let frame = self.frame(grid, &wide);
+        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
+        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
+        let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
+        if elsewhere.verdict == Verdict::Usable {
+            elsewhere.verdict = Verdict::PriorOutsideSearch;
+        }
+        Ok(Some(elsewhere))
+    }
+}
+
+/// A prior on the map.
+struct Place {
+    grid: Grid,
+    prior: Prior,
+    frame: Frame,
+}
+
+/// Two engines agree when their answers lie this near, metres.
+const CONFIRMED_WITHIN_M: f64 = 0.2;
+/// Time that a wide search is given.
+const WIDE_TAKES: Duration = Duration::from_millis(100);
+
+fn used(found: &Found) -> MapUsed {
+    MapUsed {
+        epoch: found.epoch,
+        newest_day: found.tiles.iter().map(|t| t.newest_day).max().unwrap_or(0),
+        tiles: found.tiles.len(),
+        cells: found.tiles.iter().map(|t| t.cells).sum(),
     }
 }
 
@@ -294,10 +396,12 @@ fn no_map(frame: Frame, at: LatLon) -> Refusal {
 pub fn verdict_word(verdict: &Verdict) -> &'static str {
     match verdict {
         Verdict::Usable => "USABLE",
-        Verdict::Ambiguous { .. } => "AMBIGUOUS",
+        Verdict::Ambiguous { along_track: false, .. } => "AMBIGUOUS",
+        Verdict::Ambiguous { along_track: true, .. } => "AMBIGUOUS_ALONG_TRACK",
         Verdict::TooLittleStructure { .. } => "TOO_LITTLE_STRUCTURE",
-        Verdict::DisagreesWithMap { .. } => "DISAGREES_WITH_MAP",
-        Verdict::AtEdgeOfSearch => "AT_EDGE_OF_SEARCH",
+        Verdict::MapStale { .. } => "MAP_STALE",
+        Verdict::PriorOutsideSearch => "PRIOR_OUTSIDE_SEARCH",
+        Verdict::Lost { .. } => "LOST",
         Verdict::TooLittleMap { .. } => "TOO_LITTLE_MAP",
     }
 }

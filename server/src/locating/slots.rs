@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use echofix_core::align::Workspace;
+use echofix_core::align::Aligner;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::Refusal;
@@ -18,13 +18,13 @@ pub(super) struct Slots {
     admitted: Arc<Semaphore>,
     /// Requests that run.
     running: Arc<Semaphore>,
-    workspaces: Arc<Mutex<Vec<Workspace>>>,
+    aligners: Arc<Mutex<Vec<Aligner>>>,
 }
 
 /// A slot, given back when dropped.
 pub(super) struct Slot {
-    workspace: Option<Workspace>,
-    home: Arc<Mutex<Vec<Workspace>>>,
+    aligner: Option<Aligner>,
+    home: Arc<Mutex<Vec<Aligner>>>,
     _admitted: OwnedSemaphorePermit,
     _running: OwnedSemaphorePermit,
 }
@@ -36,7 +36,7 @@ impl Slots {
             places,
             admitted: Arc::new(Semaphore::new(places)),
             running: Arc::new(Semaphore::new(threads)),
-            workspaces: Arc::default(),
+            aligners: Arc::default(),
         }
     }
 
@@ -46,27 +46,27 @@ impl Slots {
         let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(overloaded)?;
         let running = Arc::clone(&self.running).acquire_owned().await;
         let running = running.map_err(|_| Refusal::Ending)?;
-        let workspace = lock(&self.workspaces).pop().unwrap_or_default();
-        let home = Arc::clone(&self.workspaces);
-        Ok(Slot { workspace: Some(workspace), home, _admitted: admitted, _running: running })
+        let aligner = lock(&self.aligners).pop().unwrap_or_default();
+        let home = Arc::clone(&self.aligners);
+        Ok(Slot { aligner: Some(aligner), home, _admitted: admitted, _running: running })
     }
 }
 
 impl Slot {
-    pub(super) fn workspace(&mut self) -> &mut Workspace {
-        self.workspace.get_or_insert_default()
+    pub(super) fn aligner(&mut self) -> &mut Aligner {
+        self.aligner.get_or_insert_default()
     }
 }
 
 impl Drop for Slot {
     fn drop(&mut self) {
-        lock(&self.home).extend(self.workspace.take());
+        lock(&self.home).extend(self.aligner.take());
     }
 }
 
-fn lock(workspaces: &Mutex<Vec<Workspace>>) -> std::sync::MutexGuard<'_, Vec<Workspace>> {
+fn lock(aligners: &Mutex<Vec<Aligner>>) -> std::sync::MutexGuard<'_, Vec<Aligner>> {
     // A panic while holding the lock leaves a list that is still a list.
-    workspaces.lock().unwrap_or_else(PoisonError::into_inner)
+    aligners.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

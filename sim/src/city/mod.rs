@@ -14,6 +14,7 @@ pub use day::CityDay;
 pub use params::CityParams;
 pub use parking::Slot;
 pub use streets::{LANE_M, Network, Street};
+pub(crate) use structure::Look;
 pub use structure::{Kind, Reflector, Structure};
 pub use traffic::{Mover, Traveller};
 pub use vehicle::Vehicle;
@@ -42,7 +43,6 @@ impl City {
     /// When a parameter is out of range or the origin is not covered by UTM.
     pub fn generate(params: &CityParams) -> Result<Self, Error> {
         params.validate()?;
-        let site = Site::new(params.origin)?;
         let network = Network::generate(params);
         let mut structure = Structure::default();
         for (index, frontage) in network.frontages().into_iter().enumerate() {
@@ -53,10 +53,20 @@ impl City {
             furniture::build(&mut structure, street, params.seed, index);
             slots.extend(parking::slots(street, params.seed, index));
         }
+        Self::assembled(params, network, structure, slots)
+    }
+
+    /// A town of given parts; of the parameters only those of a day count.
+    pub(crate) fn assembled(
+        params: &CityParams,
+        network: Network,
+        structure: Structure,
+        slots: Vec<Slot>,
+    ) -> Result<Self, Error> {
         let places: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
         Ok(Self {
             params: params.clone(),
-            site,
+            site: Site::new(params.origin)?,
             network,
             slots,
             walls: SegmentIndex::new(structure.walls.clone()),

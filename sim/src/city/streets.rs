@@ -75,6 +75,16 @@ impl Network {
         for column in 0..columns {
             line(&mut (1..rows).map(|r| ((r - 1) * columns + column, r * columns + column)));
         }
+        Self::joined(columns, rows, nodes, streets)
+    }
+
+    /// One straight street along x, its middle at the origin.
+    pub(crate) fn straight(length_m: f64, kerb_m: f64, front_m: f64) -> Self {
+        let (a, b) = ([-0.5 * length_m, 0.0], [0.5 * length_m, 0.0]);
+        Self::joined(2, 1, vec![a, b], vec![Street { from: 0, to: 1, a, b, kerb_m, front_m }])
+    }
+
+    fn joined(columns: usize, rows: usize, nodes: Vec<Point>, streets: Vec<Street>) -> Self {
         let mut neighbours = vec![Vec::new(); nodes.len()];
         for (index, street) in streets.iter().enumerate() {
             neighbours[street.from].push((street.to, index));
@@ -111,7 +121,7 @@ impl Network {
     pub(super) fn lines(&self) -> impl Iterator<Item = Vec<usize>> + '_ {
         let rows = (0..self.rows).map(|r| (0..self.columns).map(|c| r * self.columns + c).collect());
         let columns = (0..self.columns).map(|c| (0..self.rows).map(|r| r * self.columns + c).collect());
-        rows.chain(columns)
+        rows.chain(columns).filter(|line: &Vec<usize>| line.len() > 1)
     }
 
     /// The fronts of all blocks, then those that face the town from outside.

@@ -57,7 +57,7 @@ impl Reflector {
 
 /// Strength and width of a kind of reflector; [`Look::at`] puts one in its place.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Look {
+pub(crate) struct Look {
     pub kind: Kind,
     pub probability: f64,
     pub rcs_dbsm: f64,
@@ -91,7 +91,7 @@ pub struct Structure {
 
 impl Structure {
     /// Walls along a line of points of a frame.
-    pub(super) fn wall(&mut self, frame: &Pose2, points: &[Point]) {
+    pub(crate) fn wall(&mut self, frame: &Pose2, points: &[Point]) {
         self.walls.extend(
             points.windows(2).map(|w| Segment { a: frame.transform(w[0]), b: frame.transform(w[1]) }),
         );

@@ -11,7 +11,7 @@ use crate::service::Service;
 use crate::statistics::Percentiles;
 
 /// Room for all windows of the street.
-pub(super) const ROOM: &str = "locating.window_cache_mib=8192";
+pub(super) const ROOM: &str = "locating.tile_cache_mib=8192";
 
 /// What it costs to come to a street.
 #[derive(Debug, Clone, Serialize)]

@@ -1,18 +1,24 @@
 //! The alignment alone, by engine.
 
 use std::hint::black_box;
+use std::sync::Arc;
 use std::time::Instant;
 
+use echofix_core::align::engine::{self, Bounded, Fast, Fft, Question, Reference};
 use echofix_core::align::verdict::Integrity;
-use echofix_core::align::{PreparedMap, Prior, Search, Workspace, align, fast_global_align};
+use echofix_core::align::view::MapView;
+use echofix_core::align::weights::TileWeights;
+use echofix_core::align::{Aligner, EngineKind, Lattice, Prior, Search, Task, thin};
 use echofix_core::batch::Batch;
+use echofix_core::window::Frame;
 use serde::Serialize;
 
 use crate::statistics::Percentiles;
 
 /// A batch and the map around its prior.
 pub(super) struct Case {
-    pub(super) map: PreparedMap,
+    pub(super) frame: Frame,
+    pub(super) tiles: Vec<Arc<TileWeights>>,
     pub(super) batch: Batch,
     pub(super) prior: Prior,
     pub(super) search: Search,
@@ -23,45 +29,94 @@ pub(super) struct Case {
 #[derive(Debug, Clone, Serialize)]
 pub struct Engine {
     /// Its name.
-    pub name: &'static str,
+    pub name: String,
     /// Milliseconds a batch.
     pub ms: Percentiles,
     /// Its median over the first engine's.
     pub ratio: f64,
+    /// Cases with the first engine's maximum, of all.
+    pub identical: Option<(usize, usize)>,
 }
 
-/// One alignment by an engine.
-type Align = fn(&Case, &mut Workspace);
-
-/// The engines; the first one is what the others are compared with.
-const ENGINES: [(&str, Align); 2] = [
-    ("`fast_global_align`: the paper's exhaustive search", |case, workspace| {
-        black_box(fast_global_align(&case.map, &case.batch, &case.prior, &case.search, workspace));
-    }),
-    ("`align`: search, refinement, verdict", |case, workspace| {
-        black_box(align(&case.map, &case.batch, &case.prior, &case.search, &case.integrity, workspace));
-    }),
-];
-
-/// Times every engine on every case, so many times.
+/// Times every engine on every case, so many times; the slow ones once.
 pub(super) fn measure(cases: &[Case], repetitions: usize) -> Vec<Engine> {
+    let engines: [(Box<dyn engine::Engine>, usize); 5] = [
+        (Box::new(Reference::default()), 1),
+        (Box::new(Reference::as_printed()), 1),
+        (Box::new(Fft::default()), 1 + repetitions / 10),
+        (Box::new(Bounded::default()), repetitions),
+        (Box::new(Fast::default()), repetitions),
+    ];
     let mut measured: Vec<Engine> = Vec::new();
-    for (name, align) in ENGINES {
-        let mut workspace = Workspace::default();
-        let mut times = Vec::new();
-        for case in cases {
-            // The first time fills buffers.
-            align(case, &mut workspace);
-            times.extend((0..repetitions).map(|_| {
-                let from = Instant::now();
-                align(case, &mut workspace);
-                from.elapsed().as_secs_f64() * 1e3
-            }));
+    let mut maxima = Vec::new();
+    for (mut engine, repetitions) in engines {
+        let (times, found) = search(cases, &mut *engine, repetitions);
+        if maxima.is_empty() {
+            maxima.clone_from(&found);
         }
-        if let Some(ms) = Percentiles::of(times) {
-            let ratio = measured.first().map_or(1.0, |first| ms.p50 / first.ms.p50);
-            measured.push(Engine { name, ms, ratio });
-        }
+        let same = maxima.iter().zip(&found).filter(|(a, b)| a == b).count();
+        // Coarse to fine counts thinned points: its maximum is not that of the same sum.
+        let identical = (engine.name() != "fast").then_some((same, cases.len()));
+        push(&mut measured, engine.name().to_owned(), times, identical);
+    }
+    for (name, kind) in [("whole fix, fast", EngineKind::Fast), ("whole fix, bounded", EngineKind::Bounded)] {
+        push(&mut measured, name.to_owned(), whole(cases, kind, repetitions), None);
     }
     measured
+}
+
+fn push(measured: &mut Vec<Engine>, name: String, times: Vec<f64>, identical: Option<(usize, usize)>) {
+    if let Some(ms) = Percentiles::of(times) {
+        let ratio = measured.first().map_or(1.0, |first: &Engine| ms.p50 / first.ms.p50);
+        measured.push(Engine { name, ms, ratio, identical });
+    }
+}
+
+/// Milliseconds of the search alone, and the maximum of each case.
+fn search(
+    cases: &[Case],
+    engine: &mut dyn engine::Engine,
+    repetitions: usize,
+) -> (Vec<f64>, Vec<echofix_core::pose::Pose2>) {
+    let (mut times, mut maxima, mut peaks) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut view, mut thinned) = (MapView::default(), Vec::new());
+    for case in cases {
+        view.show(case.frame, &case.tiles);
+        let reach_m = case.search.extent_m as f32;
+        thin::Thinner::default().thin(&case.batch.points, reach_m, thin::BLOCK_M, &mut thinned);
+        let question = Question {
+            view: &view,
+            batch: &case.batch,
+            thinned: &thinned,
+            prior: &case.prior,
+            search: &case.search,
+            lattice: Lattice::of(&case.prior, &case.search),
+        };
+        // The first time fills buffers.
+        engine.search(&question, &mut peaks);
+        times.extend((0..repetitions).map(|_| timed(|| engine.search(&question, &mut peaks))));
+        maxima.extend(peaks.first().map(|peak| peak.correction));
+    }
+    (times, maxima)
+}
+
+/// Milliseconds of search, climb and verdict.
+fn whole(cases: &[Case], kind: EngineKind, repetitions: usize) -> Vec<f64> {
+    let mut aligner = Aligner::default();
+    let mut times = Vec::new();
+    for Case { frame, tiles, batch, prior, search, integrity } in cases {
+        let task = Task { frame: *frame, tiles, batch, prior };
+        let mut fix = || {
+            black_box(aligner.align(&task, kind, search, integrity));
+        };
+        fix();
+        times.extend((0..repetitions).map(|_| timed(&mut fix)));
+    }
+    times
+}
+
+fn timed(work: impl FnOnce()) -> f64 {
+    let from = Instant::now();
+    work();
+    from.elapsed().as_secs_f64() * 1e3
 }

@@ -1,15 +1,16 @@
 //! The same map and requests without sockets: where the time of one request goes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
-use echofix_core::align::fft::Plans;
-use echofix_core::align::{PreparedMap, Prior};
+use echofix_core::align::Prior;
+use echofix_core::align::weights::TileWeights;
 use echofix_core::batch::Batch;
-use echofix_core::geo::{Grid, LatLon};
-use echofix_core::window::{Frame, Window};
+use echofix_core::geo::{Grid, LatLon, TileId};
+use echofix_core::window::Frame;
 use echofix_proto::v1::LocalizeRequest;
 use echofix_server::config::{Config, Sources};
 use echofix_server::grpc::{LocalizationApi, decode};
@@ -137,7 +138,7 @@ impl Scene {
 
     fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
         let batch = self.organised(&decode::batch(request.batch.clone(), "batch")?)?;
-        let believed = request.prior.unwrap_or_default();
+        let believed = request.prior.clone().unwrap_or_default();
         let pose = believed.pose.unwrap_or_default();
         let at = LatLon { lat_deg: pose.latitude_deg, lon_deg: pose.longitude_deg };
         let (grid, search) = (Grid::of(at)?, self.config.locating.search());
@@ -149,13 +150,13 @@ impl Scene {
         };
         let reach_m = search.sigmas * prior.sigma_position_m;
         let frame = Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
-        let mut tiles = Vec::new();
+        let mut stored = BTreeMap::new();
         for id in frame.tiles() {
-            tiles.extend(self.store.tile(id)?.map(|stored| (id, stored.tile)));
+            stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));
         }
-        let window = Window::stitch(frame, tiles.iter().map(|(id, tile)| (*id, &**tile)));
-        let map = PreparedMap::new(window, Arc::new(Plans::new(frame.side)), &search);
-        Ok(Case { map, batch, prior, search, integrity: self.config.locating.integrity() })
+        let weighed = |id: &TileId| Arc::new(TileWeights::new(*id, |at| stored.get(&at).map(|t| &**t)));
+        let tiles = stored.keys().map(weighed).collect();
+        Ok(Case { frame, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
     }
 }
 

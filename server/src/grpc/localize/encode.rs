@@ -15,9 +15,9 @@ use crate::grpc::status;
 use crate::locating::{Answer, Refusal};
 
 /// Name and version of the algorithm, as answers carry it.
-const ALGORITHM: &str = "fft-refined/1";
+const ALGORITHM: &str = "weights-drift/2";
 /// The calibration behind covariance and protection levels.
-const CALIBRATION: &str = "sim-town/1";
+const CALIBRATION: &str = "sim-downtown/2";
 
 /// What an answer says of its batch.
 pub(super) struct BatchFacts {
@@ -78,6 +78,7 @@ pub(super) fn response(
         }),
         algorithm: ALGORITHM.to_owned(),
         calibration: CALIBRATION.to_owned(),
+        contains_prior: answer.contains_prior,
     }
 }
 
@@ -98,7 +99,7 @@ fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
     Diagnostics {
         detections_sent: batch.detections,
         detections_used: alignment.points_used as u32,
-        batch_cells: alignment.batch_cells as u32,
+        batch_blocks: alignment.thinned_points as u32,
         matched_fraction: alignment.matched_fraction,
         batch_duration_s: batch.duration_s,
         travelled_m: batch.travelled_m,
@@ -108,6 +109,8 @@ fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
         queued_ms: milliseconds(answer.timing.queued),
         window_ms: milliseconds(answer.timing.window),
         align_ms: milliseconds(answer.timing.align),
+        contrast: alignment.contrast,
+        searched_wide: answer.searched_wide,
     }
 }
 
@@ -130,27 +133,44 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
                 format!("{matched:.0} % of the batch lies on mapped structure, no other pose comes near"),
             )
         }
-        Verdict::Ambiguous { relative_score } => {
-            (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", relative_score * 100.0))
+        verdict => refused_by(&verdict),
+    }
+}
+
+/// The status and the words of a verdict that lets no answer pass.
+fn refused_by(verdict: &Verdict) -> (FixStatus, String) {
+    let percent = |share: f64| share * 100.0;
+    match *verdict {
+        Verdict::Usable => (FixStatus::Usable, String::new()),
+        Verdict::Ambiguous { relative_score, along_track: true } => (
+            FixStatus::AmbiguousAlongTrack,
+            format!("another pose along the street scores {:.0} % of this one", percent(relative_score)),
+        ),
+        Verdict::Ambiguous { relative_score, along_track: false } => {
+            (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", percent(relative_score)))
         }
-        Verdict::TooLittleStructure { batch_cells, sigma_m } if !sigma_m.is_finite() => (
+        Verdict::TooLittleStructure { points, sigma_m } if !sigma_m.is_finite() => (
             FixStatus::TooLittleStructure,
-            format!("nothing in the batch's {batch_cells} occupied cells holds the pose in some direction"),
+            format!("nothing in the batch's {points} blocks of detections holds the pose in some direction"),
         ),
-        Verdict::TooLittleStructure { batch_cells, sigma_m } => (
+        Verdict::TooLittleStructure { points, sigma_m } => (
             FixStatus::TooLittleStructure,
-            format!("{batch_cells} occupied cells hold the pose to {sigma_m:.2} m (one sigma) only"),
+            format!("{points} blocks of detections hold the pose to {sigma_m:.2} m (one sigma) only"),
         ),
-        Verdict::DisagreesWithMap { matched_fraction } => (
-            FixStatus::DisagreesWithMap,
-            format!("only {:.0} % of the batch lies on mapped structure", matched_fraction * 100.0),
+        Verdict::MapStale { matched_fraction } => (
+            FixStatus::MapStale,
+            format!("the place is clear, but only {:.0} % of the batch is in the map", percent(matched_fraction)),
         ),
-        Verdict::AtEdgeOfSearch => (
-            FixStatus::AtEdgeOfSearch,
-            "the best pose lies on the edge of the search; widen the prior's sigma".to_owned(),
+        Verdict::PriorOutsideSearch => (
+            FixStatus::PriorOutsideSearch,
+            "the best pose lies on the edge of the search or beyond; widen the prior's sigma".to_owned(),
+        ),
+        Verdict::Lost { contrast } => (
+            FixStatus::Lost,
+            format!("no pose explains the batch: the best scores {contrast:.2} times a random one"),
         ),
         Verdict::TooLittleMap { coverage } => {
-            (FixStatus::TooLittleMap, format!("the map covers only {:.0} % of the batch", coverage * 100.0))
+            (FixStatus::TooLittleMap, format!("the map covers only {:.0} % of the batch", percent(coverage)))
         }
     }
 }

@@ -1,0 +1,188 @@
+//! When fixes are asked for, and with what.
+
+use std::collections::BTreeSet;
+
+use echofix_core::batch::Batch;
+use echofix_core::geo::CellIndex;
+use echofix_core::odometry::Trajectory;
+use echofix_core::pose::Pose2;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::condition::Condition;
+use super::map::Movers;
+use super::method::Prior;
+use super::world::World;
+
+/// The longest batch; every epoch has that much behind it, so that all lengths see the same epochs.
+const WARM_UP_US: i64 = 8_000_000;
+/// Epochs this far apart count as independent: structure and the errors of the map's poses have
+/// changed, microseconds.
+const BLOCK_US: i64 = 120_000_000;
+
+/// The paper's rough guess: one sigma of the position along each axis, metres.
+pub const SIGMA_POSITION_M: f64 = 2.0;
+/// Of the heading, degrees.
+pub const SIGMA_YAW_DEG: f64 = 3.0;
+
+/// A time at which fixes are asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Epoch {
+    /// Number within the world.
+    pub number: usize,
+    /// Epochs of one block are not independent.
+    pub block: usize,
+    /// Time of the newest scan.
+    pub time_us: i64,
+    /// Is it one of those at which all conditions are asked?
+    pub swept: bool,
+}
+
+/// Epochs about `every_s` apart while driving, thinned evenly to `most`, of which `swept` see all
+/// conditions.
+pub fn epochs(world: &World, every_s: f64, most: usize, swept: usize) -> Vec<Epoch> {
+    let least_mps = Movers::Kept.gate().min_speed_mps;
+    let Some(first) = world.drive.scans.first() else { return Vec::new() };
+    let mut next_us = first.time_us + WARM_UP_US;
+    let mut times = Vec::new();
+    for scan in &world.drive.scans {
+        let speed = world.odometry.velocity_at(scan.time_us).map_or(0.0, |v| v.speed_mps());
+        if scan.time_us >= next_us && speed > least_mps && world.truth.at(scan.time_us).is_some() {
+            times.push(scan.time_us);
+            next_us = scan.time_us + (every_s * 1e6) as i64;
+        }
+    }
+    let chosen = thinned(times.len(), most);
+    let of_all = |share: usize| thinned(chosen.len(), share).into_iter().collect::<BTreeSet<_>>();
+    let swept = of_all(swept);
+    let epoch = |(number, index): (usize, &usize)| Epoch {
+        number,
+        block: ((times[*index] - first.time_us) / BLOCK_US) as usize,
+        time_us: times[*index],
+        swept: swept.contains(&number),
+    };
+    chosen.iter().enumerate().map(epoch).collect()
+}
+
+/// `most` of `count` indices, evenly spread; all of them when there are no more.
+fn thinned(count: usize, most: usize) -> Vec<usize> {
+    if count <= most { (0..count).collect() } else { (0..most).map(|k| k * count / most).collect() }
+}
+
+/// A batch and where the vehicle would be, were its drift not an error.
+pub struct Asked {
+    /// The batch.
+    pub batch: Batch,
+    /// Cells it occupies.
+    pub cells: usize,
+    /// True pose at its oldest scan, carried on by the drifted trajectory: map metres, radians.
+    pub drifted: Pose2,
+}
+
+/// The batch of an epoch under some condition; `None` where the trajectory does not cover it.
+///
+/// # Errors
+/// When scans and odometry do not fit together.
+pub fn ask(
+    world: &World,
+    epoch: &Epoch,
+    condition: &Condition,
+    movers: Movers,
+    seed: u64,
+) -> anyhow::Result<Option<Asked>> {
+    let (scans, end_us) = (&world.drive.scans, epoch.time_us);
+    let start_us = end_us - (condition.batch_s * 1e6) as i64;
+    let from = scans.partition_point(|s| s.time_us <= start_us);
+    let to = scans.partition_point(|s| s.time_us <= end_us);
+    let way = within(&world.odometry, start_us, end_us)?;
+    let way = match condition.drift {
+        Some(drift) => drift.apply(&way, seed)?,
+        None => way,
+    };
+    let (Some(truth), Some(end), Some((begin_us, begin))) =
+        (world.truth.at(end_us), way.at(end_us), way.first())
+    else {
+        return Ok(None);
+    };
+    let batch = Batch::organise(&scans[from..to], &world.drive.mounts, &way, end_us, &movers.gate())?;
+    let drifted = match condition.drift.and_then(|_| world.truth.at(begin_us)) {
+        None => truth,
+        Some(start) => {
+            let moved = begin.between(&end);
+            start.compose(&Pose2::new(world.scale * moved.x_m, world.scale * moved.y_m, moved.yaw_rad))
+        }
+    };
+    let cells = occupied(&batch);
+    Ok(Some(Asked { batch, cells, drifted }))
+}
+
+fn occupied(batch: &Batch) -> usize {
+    let cells: BTreeSet<_> = batch.points.iter().map(|p| CellIndex::of(p.map(f64::from))).collect();
+    cells.len()
+}
+
+/// The part of a trajectory from the last pose before a time to the first one after another.
+fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajectory> {
+    let mut part = Trajectory::default();
+    let mut before = None;
+    for (time_us, pose) in all.iter() {
+        if time_us <= start_us {
+            before = Some((time_us, pose));
+            continue;
+        }
+        if let Some((time_us, pose)) = before.take() {
+            part.push(time_us, pose)?;
+        }
+        part.push(time_us, pose)?;
+        if time_us >= end_us {
+            break;
+        }
+    }
+    Ok(part)
+}
+
+/// The paper's rough guess: the pose with an error drawn from its sigmas.
+pub fn prior(around: &Pose2, scale: f64, seed: u64) -> Prior {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+    let sigma_yaw_rad = SIGMA_YAW_DEG.to_radians();
+    let pose = Pose2::new(
+        around.x_m + SIGMA_POSITION_M * normal(),
+        around.y_m + SIGMA_POSITION_M * normal(),
+        around.yaw_rad + sigma_yaw_rad * normal(),
+    );
+    Prior { pose, sigma_position_m: SIGMA_POSITION_M, sigma_yaw_rad, scale }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinning_keeps_the_spread() {
+        assert_eq!(thinned(3, 5), [0, 1, 2]);
+        assert_eq!(thinned(10, 3), [0, 3, 6]);
+        assert!(thinned(0, 3).is_empty() && thinned(9, 0).is_empty());
+    }
+
+    #[test]
+    fn a_part_of_a_trajectory_covers_its_ends() {
+        let all = Trajectory::new((0..10).map(|t| (100 * t, Pose2::new(t as f64, 0.0, 0.0)))).unwrap();
+        let part = within(&all, 250, 620).unwrap();
+        assert_eq!((part.first().unwrap().0, part.last().unwrap().0), (200, 700));
+        assert!((part.at(620).unwrap().x_m - 6.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn priors_err_by_their_sigmas() {
+        let (mut position, mut yaw) = (0.0, 0.0);
+        for seed in 0..2000 {
+            let prior = prior(&Pose2::IDENTITY, 1.0, seed);
+            position += prior.pose.x_m.powi(2) / 2000.0;
+            yaw += prior.pose.yaw_rad.to_degrees().powi(2) / 2000.0;
+        }
+        assert!((f64::sqrt(position) - 2.0).abs() < 0.1, "{position}");
+        assert!((f64::sqrt(yaw) - 3.0).abs() < 0.15, "{yaw}");
+    }
+}

@@ -1,0 +1,169 @@
+//! A radar map in memory: tiles without a service.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context;
+use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::evidence::{self, Pass};
+use echofix_core::geo::{Grid, TileId, Zone};
+use echofix_core::odometry::Trajectory;
+use echofix_core::scan::{Gate, Scan};
+use echofix_core::tile::{Ledger, Tile};
+use echofix_core::window::{Frame, Window};
+use echofix_core::{doppler, odometry};
+
+/// Reference poses farther apart than this are not interpolated between, microseconds.
+const MAX_POSE_GAP_US: i64 = 500_000;
+const DAY_US: i64 = 86_400_000_000;
+
+/// What becomes of detections that move, by their radial speed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Movers {
+    /// They stay: the paper has no such gate.
+    Kept,
+    /// They are left out.
+    Dropped,
+}
+
+impl Movers {
+    /// The paper's gates of speed and range, with or without that of movers.
+    pub fn gate(self) -> Gate {
+        match self {
+            Self::Dropped => Gate::default(),
+            Self::Kept => Gate { max_doppler_residual_mps: f64::INFINITY, ..Gate::default() },
+        }
+    }
+}
+
+/// Which map: the key of cached windows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct MapKey {
+    /// Number of the world.
+    pub world: usize,
+    /// Contributors that made it.
+    pub contributors: usize,
+    /// What became of their movers.
+    pub movers: Movers,
+}
+
+/// The tiles that some contributors made.
+#[derive(Debug, Clone)]
+pub struct RadarMap {
+    /// Which map.
+    pub key: MapKey,
+    zone: Zone,
+    tiles: BTreeMap<TileId, Tile>,
+}
+
+impl RadarMap {
+    /// An empty map.
+    pub fn new(key: MapKey, zone: Zone) -> Self {
+        Self { key, zone, tiles: BTreeMap::new() }
+    }
+
+    /// The same tiles, for others to be added to.
+    pub fn grown_from(&self, contributors: usize) -> Self {
+        Self { key: MapKey { contributors, ..self.key }, ..self.clone() }
+    }
+
+    /// Adds what a drive saw from its reference poses, those known to `max_sigma_m` or better.
+    ///
+    /// # Errors
+    /// When the drive has no such pose, or its scans and poses do not fit together.
+    pub fn add(&mut self, drive: &Drive, contributor: u64, max_sigma_m: f64) -> anyhow::Result<()> {
+        let grid = Grid::new(self.zone)?;
+        let scans = self.gated(drive);
+        let mut mapped = false;
+        for poses in stretches(&drive.reference, max_sigma_m) {
+            let scale = grid.scale_factor(poses[0].at)?;
+            let trajectory = on_grid(&grid, poses)?;
+            let from = scans.partition_point(|s| s.time_us < poses[0].time_us);
+            let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
+            // Movers are gone already, and odometry told them better than absolute poses would.
+            let gate = Movers::Kept.gate();
+            let (contribution, _) =
+                evidence::contribute(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
+            let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US)).unwrap_or_default();
+            for (id, hits) in contribution.tiles {
+                // A drive goes in at once, so that no ledger has to remember it.
+                let pass = Pass { day, contributor };
+                self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &hits);
+            }
+            mapped = true;
+        }
+        mapped.then_some(()).with_context(|| {
+            format!("the drive of `{}` has no reference pose known to {max_sigma_m} m to map from", drive.vehicle)
+        })
+    }
+
+    /// The drive's scans, their movers dropped where the map is one without.
+    fn gated(&self, drive: &Drive) -> Vec<Scan> {
+        let mut scans = drive.scans.clone();
+        if self.key.movers == Movers::Dropped {
+            let limit_mps = self.key.movers.gate().max_doppler_residual_mps;
+            for scan in &mut scans {
+                let velocity = drive.odometry.velocity_at(scan.time_us);
+                if let (Some(velocity), Some(mount)) = (velocity, drive.mounts.get(scan.sensor)) {
+                    doppler::drop_movers(scan, mount, velocity, limit_mps);
+                }
+            }
+        }
+        scans
+    }
+
+    /// The map in a square.
+    pub fn window(&self, frame: Frame) -> Window {
+        Window::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    }
+
+    /// One tile, where there is one.
+    pub fn tile(&self, id: TileId) -> Option<&Tile> {
+        self.tiles.get(&id)
+    }
+
+    /// The zone of its grid.
+    pub fn zone(&self) -> Zone {
+        self.zone
+    }
+}
+
+/// Poses on the grid, in order of time.
+///
+/// # Errors
+/// When a pose is off the grid or the times do not increase.
+pub fn on_grid(grid: &Grid, poses: &[GeoPose]) -> anyhow::Result<Trajectory> {
+    let mut trajectory = Trajectory::default();
+    for pose in poses {
+        trajectory.push(pose.time_us, grid.pose_from_geodetic(pose.at, pose.yaw_rad)?)?;
+    }
+    Ok::<_, odometry::Error>(trajectory).map_err(Into::into)
+}
+
+/// Runs of poses that are known well enough and leave no gap.
+fn stretches(poses: &[GeoPose], max_sigma_m: f64) -> impl Iterator<Item = &[GeoPose]> {
+    let known = move |p: &GeoPose| p.sigma_position_m <= max_sigma_m;
+    poses
+        .chunk_by(move |a, b| b.time_us - a.time_us <= MAX_POSE_GAP_US && known(a) == known(b))
+        .filter(move |run| run.len() > 1 && known(&run[0]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_end_at_gaps_and_uncertain_poses() {
+        let pose = |time_us, sigma_position_m| GeoPose { time_us, sigma_position_m, ..GeoPose::default() };
+        let poses = [
+            pose(0, 0.1),
+            pose(100_000, 0.1),
+            pose(200_000, 0.9),
+            pose(300_000, 0.1),
+            pose(400_000, 0.1),
+            pose(2_000_000, 0.1),
+            pose(2_100_000, 0.1),
+        ];
+        let lengths: Vec<_> = stretches(&poses, 0.3).map(<[_]>::len).collect();
+        assert_eq!(lengths, [2, 2, 2]);
+    }
+}

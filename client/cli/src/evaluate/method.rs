@@ -1,0 +1,214 @@
+//! The methods under test, and all that knows how they align.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use echofix_core::align::fft::Plans;
+pub use echofix_core::align::Prior;
+use echofix_core::align::verdict::{Integrity, Verdict};
+use echofix_core::align::image::MapImage;
+use echofix_core::align::weights::TileWeights;
+use echofix_core::align::{Aligner, EngineKind, Lattice, Search, Task, Workspace, fast_global_align};
+use echofix_core::batch::Batch;
+use echofix_core::evidence::InverseSensorModel;
+use echofix_core::geo::TileId;
+use echofix_core::pose::{Pose2, wrap_angle};
+use echofix_core::window::Frame;
+use echofix_server::locating::verdict_word;
+use moka::policy::EvictionPolicy;
+use moka::sync::Cache;
+
+use super::map::{MapKey, Movers, RadarMap};
+
+/// Integrity risk that protection levels are asked for.
+pub const RISK: f64 = 1e-3;
+
+/// Bounds of the error, at [`RISK`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Protection {
+    /// Along the heading, metres.
+    pub along_m: f64,
+    /// Across it, metres.
+    pub cross_m: f64,
+    /// Radians.
+    pub yaw_rad: f64,
+}
+
+/// What a method says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Map metres and radians from grid east.
+    pub pose: Pose2,
+    /// Of (east m, north m, yaw rad), when the method knows one.
+    pub covariance: Option<[[f64; 3]; 3]>,
+    /// May it be used?
+    pub usable: bool,
+    /// Why (not).
+    pub verdict: &'static str,
+    /// When the method knows them.
+    pub protection: Option<Protection>,
+    /// Score of the best distinct alternative relative to the answer's; 0 without one.
+    pub second: f64,
+    /// Time of the fix itself, its window prepared.
+    pub elapsed: Duration,
+}
+
+/// A way to find the pose of a batch on a map.
+pub trait Method: Send {
+    /// Its name in tables.
+    fn name(&self) -> &'static str;
+    /// What becomes of movers, in its map and in its batches.
+    fn movers(&self) -> Movers;
+    /// Finds the pose of a batch on a map.
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome;
+}
+
+/// A method by its name on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Name {
+    /// The paper's: the hypothesis of the highest correlation.
+    Paper,
+    /// The service's.
+    Echofix,
+}
+
+impl Name {
+    /// The method, for one thread; `windows` is shared by all.
+    pub fn method(self, windows: &Arc<Windows>) -> Box<dyn Method> {
+        let windows = Arc::clone(windows);
+        match self {
+            Self::Paper => Box::new(Paper { windows, workspace: Workspace::default() }),
+            Self::Echofix => Box::new(Echofix { windows, aligner: Aligner::default() }),
+        }
+    }
+}
+
+/// Prepared maps, the least recently used forgotten.
+pub struct Windows {
+    images: Cache<(MapKey, Frame), Arc<MapImage>>,
+    tiles: Cache<(MapKey, TileId), Arc<TileWeights>>,
+    plans: Mutex<BTreeMap<usize, Arc<Plans>>>,
+    search: Search,
+}
+
+impl Windows {
+    /// Room for so many mebibytes.
+    pub fn new(mib: u64) -> Arc<Self> {
+        let images = Cache::builder()
+            .weigher(|_, image: &Arc<MapImage>| (image.bytes() >> 10) as u32)
+            .max_capacity(mib << 9)
+            .eviction_policy(EvictionPolicy::lru())
+            .build();
+        let tiles = Cache::builder()
+            .weigher(|_, tile: &Arc<TileWeights>| (tile.bytes() >> 10) as u32)
+            .max_capacity(mib << 9)
+            .eviction_policy(EvictionPolicy::lru())
+            .build();
+        Arc::new(Self { images, tiles, plans: Mutex::default(), search: Search::default() })
+    }
+
+    fn frame(&self, map: &RadarMap, prior: &Prior) -> Frame {
+        let search_m = self.search.sigmas * prior.sigma_position_m;
+        Frame::around(map.zone(), [prior.pose.x_m, prior.pose.y_m], self.search.extent_m, search_m)
+    }
+
+    /// The paper's occupancy grid around a prior, transformed.
+    fn occupancy(&self, map: &RadarMap, frame: Frame) -> Arc<MapImage> {
+        let model = InverseSensorModel::default();
+        let prepare =
+            || Arc::new(MapImage::of_evidence(&map.window(frame), &model, self.plans(frame.side)));
+        self.images.get_with((map.key, frame), prepare)
+    }
+
+    /// The weights of the tiles of a square.
+    fn weights(&self, map: &RadarMap, frame: Frame) -> Vec<Arc<TileWeights>> {
+        let known = frame.tiles().filter(|id| map.tile(*id).is_some());
+        let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
+        known.map(|id| self.tiles.get_with((map.key, id), || prepare(id))).collect()
+    }
+
+    fn plans(&self, side: usize) -> Arc<Plans> {
+        // A panic while holding the lock leaves a map that is still a map.
+        let mut plans = self.plans.lock().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(plans.entry(side).or_insert_with(|| Arc::new(Plans::new(side))))
+    }
+}
+
+/// The paper's method: the hypothesis of the highest correlation of the occupancy grids.
+struct Paper {
+    windows: Arc<Windows>,
+    workspace: Workspace,
+}
+
+impl Method for Paper {
+    fn name(&self) -> &'static str {
+        "paper"
+    }
+
+    fn movers(&self) -> Movers {
+        Movers::Kept
+    }
+
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+        let search = self.windows.search;
+        let image = self.windows.occupancy(map, self.windows.frame(map, prior));
+        let began = Instant::now();
+        let lattice = Lattice::of(prior, &search);
+        let correlation = fast_global_align(&image, batch, prior, &search, &lattice, &mut self.workspace);
+        let best = lattice.hypothesis(correlation.argmax());
+        let elapsed = began.elapsed();
+        let second = match correlation.highest(2, search.separation_m)[..] {
+            [first, second] if correlation.values[first] > 0.0 => {
+                f64::from(correlation.values[second] / correlation.values[first])
+            }
+            _ => 0.0,
+        };
+        let pose = Pose2::new(
+            prior.pose.x_m + best.x_m,
+            prior.pose.y_m + best.y_m,
+            wrap_angle(prior.pose.yaw_rad + best.yaw_rad),
+        );
+        let verdict = "NOT_JUDGED";
+        Outcome { pose, covariance: None, usable: true, verdict, protection: None, second, elapsed }
+    }
+}
+
+/// What the service answers.
+struct Echofix {
+    windows: Arc<Windows>,
+    aligner: Aligner,
+}
+
+impl Method for Echofix {
+    fn name(&self) -> &'static str {
+        "echofix"
+    }
+
+    fn movers(&self) -> Movers {
+        Movers::Dropped
+    }
+
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+        let (search, integrity) = (self.windows.search, Integrity::default());
+        let frame = self.windows.frame(map, prior);
+        let tiles = self.windows.weights(map, frame);
+        let began = Instant::now();
+        let task = Task { frame, tiles: &tiles, batch, prior };
+        let answer = self.aligner.align(&task, EngineKind::Fast, &search, &integrity);
+        let elapsed = began.elapsed();
+        let levels = answer.protection(&integrity, RISK);
+        let finite = answer.covariance.iter().flatten().all(|v| v.is_finite());
+        let protection =
+            Protection { along_m: levels.along_m, cross_m: levels.cross_m, yaw_rad: levels.yaw_rad };
+        Outcome {
+            pose: answer.pose,
+            covariance: finite.then_some(answer.covariance),
+            usable: answer.verdict == Verdict::Usable,
+            verdict: verdict_word(&answer.verdict),
+            protection: finite.then_some(protection),
+            second: answer.alternatives.first().map_or(0.0, |(_, score)| *score),
+            elapsed,
+        }
+    }
+}

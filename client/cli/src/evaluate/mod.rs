@@ -1,0 +1,20 @@
+//! The paper's "Experimental Results" again, in one process: maps, drives and fixes without a service.
+//!
+//! - [`condition`]: under which conditions fixes are asked for, and which experiment compares which.
+//! - [`map`]: a radar map in memory; [`floor`]: how far off its own poses were.
+//! - [`world`]: maps of one day, a drive on another, the truth; [`simulated`]: towns.
+//! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
+//! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
+//! - [`statistics`]: percentiles, intervals, curves; [`tables`]: the report.
+
+pub mod condition;
+pub mod epoch;
+pub mod floor;
+pub mod map;
+pub mod method;
+pub mod record;
+pub mod run;
+pub mod simulated;
+pub mod statistics;
+pub mod tables;
+pub mod world;

@@ -1,0 +1,147 @@
+//! Asks every method at every epoch, under every condition.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use indicatif::ProgressBar;
+use rand::RngExt;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::condition::Condition;
+use super::epoch::{Asked, Epoch, ask, epochs, prior};
+use super::map::Movers;
+use super::method::{Method, Name, Windows};
+use super::record::{Facts, Record};
+use super::world::World;
+
+/// How much is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Seconds of driving between epochs.
+    pub every_s: f64,
+    /// Epochs of a world, at most.
+    pub epochs: usize,
+    /// Of those, epochs at which every condition is asked; the others see the headline only.
+    pub swept: usize,
+    /// Priors drawn an epoch.
+    pub priors: usize,
+    /// Seed of priors and drift.
+    pub seed: u64,
+    /// The methods, in the order of the tables.
+    pub methods: Vec<Name>,
+}
+
+/// Asks every method at a world's epochs; the rows are in order of epoch, condition, prior and method.
+///
+/// # Errors
+/// When the world's drives do not fit together.
+pub fn run(
+    world: &World,
+    conditions: &[Condition],
+    plan: &Plan,
+    windows: &Arc<Windows>,
+    bar: &ProgressBar,
+) -> anyhow::Result<Vec<Record>> {
+    let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
+    bar.inc_length(epochs.len() as u64);
+    let rows = epochs.par_iter().map_init(
+        || plan.methods.iter().map(|name| name.method(windows)).collect::<Vec<_>>(),
+        |methods, epoch| {
+            let rows = at_epoch(world, epoch, conditions, plan, methods);
+            bar.inc(1);
+            rows
+        },
+    );
+    let rows: Vec<Vec<Record>> = rows.collect::<anyhow::Result<_>>()?;
+    Ok(rows.into_iter().flatten().collect())
+}
+
+fn at_epoch(
+    world: &World,
+    epoch: &Epoch,
+    conditions: &[Condition],
+    plan: &Plan,
+    methods: &mut [Box<dyn Method>],
+) -> anyhow::Result<Vec<Record>> {
+    let seed = seed_of(plan.seed, world.index, epoch.number);
+    let mut rows = Vec::new();
+    for condition in conditions {
+        if !epoch.swept && *condition != Condition::HEADLINE {
+            continue;
+        }
+        let mut batches = BTreeMap::new();
+        for movers in [Movers::Kept, Movers::Dropped] {
+            if let Some(asked) = ask(world, epoch, condition, movers, seed)? {
+                batches.insert(movers, asked);
+            }
+        }
+        for number in 0..plan.priors {
+            for method in &mut *methods {
+                if let Some(asked) = batches.get(&method.movers()) {
+                    rows.push(fix(world, epoch, condition, asked, (number, seed), &mut **method)?);
+                }
+            }
+        }
+    }
+    Ok(rows)
+}
+
+/// One method's answer to one question.
+fn fix(
+    world: &World,
+    epoch: &Epoch,
+    condition: &Condition,
+    asked: &Asked,
+    (number, seed): (usize, u64),
+    method: &mut dyn Method,
+) -> anyhow::Result<Record> {
+    let Asked { batch, cells, drifted } = asked;
+    let Some(truth) = world.truth.at(epoch.time_us) else { anyhow::bail!("the truth ends within the drive") };
+    // Every condition and method starts from the same errors, drawn around what it can find.
+    let prior = prior(drifted, world.scale, seed.wrapping_add(number as u64));
+    let outcome = method.fix(world.map(condition.contributors, method.movers())?, batch, &prior);
+    let floor = world.floor.around(&truth, condition.contributors);
+    let facts = Facts { truth, drifted: *drifted, scale: world.scale, floor };
+    let row = Record {
+        world: world.name.clone(),
+        epoch: epoch.number,
+        block: epoch.block,
+        time_us: epoch.time_us,
+        prior: number,
+        batch_s: condition.batch_s,
+        drift_m: condition.drift.map_or(0.0, |d| d.sigma_position_m),
+        drift_deg: condition.drift.map_or(0.0, |d| d.sigma_yaw_rad.to_degrees()),
+        growth: condition.growth(),
+        contributors: condition.contributors,
+        swept: epoch.swept,
+        method: method.name(),
+        speed_mps: batch.speed_mps,
+        points: batch.points.len(),
+        cells: *cells,
+        ..Record::default()
+    };
+    Ok(row.answered(&outcome, &facts))
+}
+
+/// A seed of its own for every epoch of every world.
+fn seed_of(seed: u64, world: usize, epoch: usize) -> u64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(((world as u64) << 32) | epoch as u64);
+    rng.random()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_differ_by_world_and_epoch_and_repeat() {
+        let all = [(1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1)].map(|(s, w, e)| seed_of(s, w, e));
+        for (k, seed) in all.iter().enumerate() {
+            assert!(all[..k].iter().all(|other| other != seed));
+        }
+        assert_eq!(seed_of(1, 0, 1), all[3]);
+    }
+}

@@ -1,0 +1,44 @@
+//! Simulated worlds: a town mapped on one day and driven again on another.
+
+use echofix_core::drive::Drive;
+use echofix_sim::{City, DriveParams, OdometryModel, Route, downtown, simulate};
+use rayon::prelude::*;
+
+use super::world::Drives;
+
+const DAY_US: i64 = 86_400_000_000;
+/// Days from the mapping drives to the localized one: from Thursday to Sunday, as in the paper.
+const DAYS_LATER: u32 = 3;
+
+/// A town of a seed, driven through by `contributors` on day 0 and by another vehicle days later.
+///
+/// The other vehicle takes the first contributor's way, as the paper's did.
+///
+/// # Errors
+/// When a parameter is out of range.
+pub fn town(seed: u64, contributors: usize) -> anyhow::Result<Drives> {
+    let city = City::generate(&downtown::city(seed))?;
+    drives(&city, seed, contributors)
+}
+
+fn drives(city: &City, seed: u64, contributors: usize) -> anyhow::Result<Drives> {
+    let number = |vehicle: usize| seed * 1000 + vehicle as u64;
+    let mapping = (0..contributors)
+        .into_par_iter()
+        .map(|vehicle| drive(city, 0, &Route::survey(city, number(vehicle)), number(vehicle)))
+        .collect::<anyhow::Result<_>>()?;
+    let localized = drive(city, DAYS_LATER, &Route::survey(city, number(0)), number(999))?;
+    Ok(Drives { mapping, localized })
+}
+
+fn drive(city: &City, day: u32, route: &Route, seed: u64) -> anyhow::Result<Drive> {
+    let base = downtown::drive();
+    let params = DriveParams {
+        vehicle: format!("vehicle-{seed}"),
+        seed,
+        start_time_us: base.start_time_us + i64::from(day) * DAY_US,
+        odometry: OdometryModel::Perfect,
+        ..base
+    };
+    Ok(simulate(&city.on_day(day), route, &params)?)
+}

@@ -1,0 +1,154 @@
+//! Percentiles and shares with bootstrap confidence intervals. Whole clusters are drawn, because
+//! epochs that are near in time are not independent.
+
+use std::collections::BTreeMap;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+/// Draws of the bootstrap.
+const DRAWS: usize = 1000;
+const SEED: u64 = 1;
+
+/// A figure and the interval that holds it with 95 % confidence.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Of the sample.
+    pub value: f64,
+    /// 2.5 % of the draws are below.
+    pub low: f64,
+    /// 2.5 % of the draws are above.
+    pub high: f64,
+}
+
+/// How often each cluster is drawn, draw by draw.
+struct Draws {
+    rng: ChaCha8Rng,
+    weights: Vec<u32>,
+}
+
+impl Draws {
+    fn of(clusters: usize) -> Self {
+        Self { rng: ChaCha8Rng::seed_from_u64(SEED), weights: vec![0; clusters] }
+    }
+
+    fn next(&mut self) -> &[u32] {
+        self.weights.fill(0);
+        for _ in 0..self.weights.len() {
+            let drawn = self.rng.random_range(0..self.weights.len());
+            self.weights[drawn] += 1;
+        }
+        &self.weights
+    }
+}
+
+/// Percentiles by the nearest rank of (value, cluster) pairs, one for each of `shares`; empty of
+/// nothing.
+pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, shares: &[f64]) -> Vec<Estimate> {
+    let (sorted, clusters) = numbered(sample);
+    if sorted.is_empty() {
+        return Vec::new();
+    }
+    let values = at_shares(&sorted, &vec![1; clusters], shares);
+    let mut draws = Draws::of(clusters);
+    let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(DRAWS); shares.len()];
+    for _ in 0..DRAWS {
+        for (all, value) in drawn.iter_mut().zip(at_shares(&sorted, draws.next(), shares)) {
+            all.push(value);
+        }
+    }
+    values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn)).collect()
+}
+
+/// The share of (hit, cluster) pairs that are hits; `None` of nothing.
+pub fn share<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
+    let mean = mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))?;
+    Some(mean)
+}
+
+/// The mean of (value, cluster) pairs; `None` of nothing.
+pub fn mean<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> Option<Estimate> {
+    let (sorted, clusters) = numbered(sample);
+    let mut sums = vec![(0.0, 0.0); clusters];
+    for (value, cluster) in sorted {
+        sums[cluster].0 += value;
+        sums[cluster].1 += 1.0;
+    }
+    let of = |weights: &[u32]| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for ((s, n), w) in sums.iter().zip(weights) {
+            sum += f64::from(*w) * s;
+            count += f64::from(*w) * n;
+        }
+        sum / count
+    };
+    let mut draws = Draws::of(clusters);
+    (clusters > 0)
+        .then(|| estimate(of(&vec![1; clusters]), (0..DRAWS).map(|_| of(draws.next())).collect()))
+}
+
+/// Values in order, each with the number of its cluster, and how many clusters there are.
+fn numbered<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> (Vec<(f64, usize)>, usize) {
+    let sample: Vec<_> = sample.into_iter().collect();
+    let mut numbers: BTreeMap<&K, usize> = BTreeMap::new();
+    for (_, cluster) in &sample {
+        let next = numbers.len();
+        numbers.entry(cluster).or_insert(next);
+    }
+    let mut sorted: Vec<_> = sample.iter().map(|(value, cluster)| (*value, numbers[cluster])).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    (sorted, numbers.len())
+}
+
+/// Nearest ranks when each cluster counts so often.
+fn at_shares(sorted: &[(f64, usize)], weights: &[u32], shares: &[f64]) -> Vec<f64> {
+    let total: u64 = sorted.iter().map(|(_, cluster)| u64::from(weights[*cluster])).sum();
+    let rank = |share: f64| ((share * total as f64).ceil() as u64).max(1);
+    let mut values = Vec::with_capacity(shares.len());
+    let mut passed = 0;
+    for (value, cluster) in sorted {
+        passed += u64::from(weights[*cluster]);
+        while values.len() < shares.len() && passed >= rank(shares[values.len()]) {
+            values.push(*value);
+        }
+    }
+    values
+}
+
+fn estimate(value: f64, mut drawn: Vec<f64>) -> Estimate {
+    drawn.sort_by(f64::total_cmp);
+    let at = |share: f64| drawn[((share * drawn.len() as f64) as usize).min(drawn.len() - 1)];
+    Estimate { value, low: at(0.025), high: at(0.975) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_nearest_ranks() {
+        let sample = (1..=200).rev().map(|k| (f64::from(k), k));
+        let found = percentiles(sample, &[0.5, 0.95, 0.99]);
+        assert_eq!(found.iter().map(|e| e.value).collect::<Vec<_>>(), [100.0, 190.0, 198.0]);
+        assert!(found.iter().all(|e| e.low <= e.value && e.value <= e.high));
+        assert!(percentiles(std::iter::empty::<(f64, u8)>(), &[0.5]).is_empty());
+    }
+
+    #[test]
+    fn the_interval_of_a_mean_is_that_of_its_clusters() {
+        // 100 clusters of mean 0 or 1 tell as much as 100 values, however many rows each has.
+        let rows = |each: usize| (0..100_u32).flat_map(move |k| vec![(f64::from(k % 2), k); each]);
+        let (few, many) = (mean(rows(1)).unwrap(), mean(rows(50)).unwrap());
+        assert!((few.value - 0.5).abs() < 1e-12 && few == many);
+        // Two standard errors of 0.05 to either side.
+        assert!((few.high - few.low - 0.196).abs() < 0.03, "{few:?}");
+    }
+
+    #[test]
+    fn a_share_counts_hits() {
+        let found = share((0..40).map(|k| (k % 4 == 0, k))).unwrap();
+        assert!((found.value - 0.25).abs() < 1e-12 && found.low > 0.05 && found.high < 0.45);
+        assert_eq!(share(std::iter::empty::<(bool, u8)>()), None);
+    }
+}

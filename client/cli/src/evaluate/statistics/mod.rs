@@ -1,0 +1,11 @@
+//! What many fixes amount to; pure functions.
+//!
+//! - [`bootstrap`]: percentiles and shares with confidence intervals.
+//! - [`ccdf`]: how often is an error exceeded?
+//! - [`calibration`]: are the errors as large as was said?
+//! - [`roc`]: does the ambiguity detector tell wrong answers from right ones?
+
+pub mod bootstrap;
+pub mod calibration;
+pub mod ccdf;
+pub mod roc;

@@ -1,0 +1,106 @@
+//! A world: maps of one day, a drive on another, and the truth.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context;
+use echofix_core::drive::Drive;
+use echofix_core::geo::Grid;
+use echofix_core::odometry::Trajectory;
+use rayon::prelude::*;
+
+use super::floor::Floor;
+use super::map::{MapKey, Movers, RadarMap, on_grid};
+
+/// Maps of one day and a drive on another.
+pub struct World {
+    /// Its number.
+    pub index: usize,
+    /// Its name in tables: the seed, or the log.
+    pub name: String,
+    /// The drive that is localized.
+    pub drive: Drive,
+    /// What organises its batches.
+    pub odometry: Trajectory,
+    /// Where it really was: map metres, radians from grid east.
+    pub truth: Trajectory,
+    /// Map metres a ground metre.
+    pub scale: f64,
+    /// How far off the maps' own poses were.
+    pub floor: Floor,
+    maps: BTreeMap<(usize, Movers), RadarMap>,
+}
+
+/// Drives before they become a world.
+pub struct Drives {
+    /// Those that map, by the order in which they join the map.
+    pub mapping: Vec<Drive>,
+    /// The one that is localized.
+    pub localized: Drive,
+}
+
+impl World {
+    /// Maps the first so many drives for each of `crowds`, and lays out the truth of the other.
+    ///
+    /// # Errors
+    /// When there is no truth, or a drive cannot be mapped from.
+    pub fn new(
+        index: usize,
+        name: String,
+        drives: Drives,
+        crowds: &[usize],
+        max_sigma_m: f64,
+    ) -> anyhow::Result<Self> {
+        let Drives { mapping, localized: drive } = drives;
+        let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
+        let first = poses
+            .first()
+            .with_context(|| format!("`{}` has no known poses to compare with", drive.vehicle))?;
+        let grid = Grid::of(first.at)?;
+        let truth = on_grid(&grid, poses)?;
+        let both: Vec<_> = [Movers::Kept, Movers::Dropped]
+            .into_par_iter()
+            .map(|movers| {
+                let key = MapKey { world: index, contributors: 0, movers };
+                grown(RadarMap::new(key, grid.zone()), &mapping, crowds, max_sigma_m)
+            })
+            .collect::<anyhow::Result<_>>()?;
+        let maps = both.into_iter().flatten().map(|map| ((map.key.contributors, map.key.movers), map));
+        Ok(Self {
+            index,
+            name,
+            odometry: drive.odometry.clone(),
+            truth,
+            scale: grid.scale_factor(first.at)?,
+            floor: Floor::of(&grid, &mapping)?,
+            maps: maps.collect(),
+            drive,
+        })
+    }
+
+    /// The map of the first so many contributors.
+    ///
+    /// # Errors
+    /// When it was not asked for.
+    pub fn map(&self, contributors: usize, movers: Movers) -> anyhow::Result<&RadarMap> {
+        self.maps
+            .get(&(contributors, movers))
+            .with_context(|| format!("world {} has no map of {contributors} contributors", self.name))
+    }
+}
+
+/// The map after each of `crowds` contributors.
+fn grown(
+    mut map: RadarMap,
+    drives: &[Drive],
+    crowds: &[usize],
+    max_sigma_m: f64,
+) -> anyhow::Result<Vec<RadarMap>> {
+    let mut kept = Vec::new();
+    for (before, drive) in drives.iter().enumerate() {
+        map.add(drive, before as u64, max_sigma_m)?;
+        if crowds.contains(&(before + 1)) {
+            kept.push(map.grown_from(before + 1));
+        }
+    }
+    Ok(kept)
+}

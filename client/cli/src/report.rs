@@ -1,0 +1,90 @@
+//! Generated sections of a written page: what lies between two markers is replaced, the rest stays.
+
+use std::path::Path;
+
+use anyhow::{Context, bail};
+
+/// Replaces what lies between `<!-- NAME:begin -->` and `<!-- NAME:end -->`; a page without the markers
+/// gets them at its end.
+///
+/// # Errors
+/// When only one of the markers is there, or they are in the wrong order.
+pub fn replaced(page: &str, name: &str, body: &str) -> anyhow::Result<String> {
+    let (begin, end) = (format!("<!-- {name}:begin -->"), format!("<!-- {name}:end -->"));
+    let body = body.trim_matches('\n');
+    match (page.split_once(&begin), page.split_once(&end)) {
+        (None, None) => {
+            let page = page.trim_end_matches('\n');
+            let gap = if page.is_empty() { "" } else { "\n\n" };
+            Ok(format!("{page}{gap}{begin}\n{body}\n{end}\n"))
+        }
+        (Some((before, _)), Some((to_end, after))) if before.len() < to_end.len() => {
+            Ok(format!("{before}{begin}\n{body}\n{end}{after}"))
+        }
+        _ => bail!("the markers `{begin}` and `{end}` must both be there, in this order"),
+    }
+}
+
+/// Replaces a section of a file, which is made when it is not there.
+///
+/// # Errors
+/// When the file cannot be read or written, or its markers are not a pair.
+pub fn write_section(path: &Path, name: &str, body: &str) -> anyhow::Result<()> {
+    let page = if path.exists() {
+        std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?
+    } else {
+        String::new()
+    };
+    let page = replaced(&page, name, body).with_context(|| format!("in {}", path.display()))?;
+    std::fs::write(path, page).with_context(|| format!("writing {}", path.display()))
+}
+
+/// The machine in words: its processor and how many cores it has.
+#[must_use]
+pub fn machine() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let model = model.map_or(std::env::consts::ARCH, |(_, model)| model.trim());
+    format!("{cores} cores of {model}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_lies_between_the_markers_changes() {
+        let page = "# Page\n\n<!-- a:begin -->\nold\n<!-- a:end -->\n\ntail\n";
+        let new = replaced(page, "a", "\nnew\nlines\n\n").unwrap();
+        assert_eq!(new, "# Page\n\n<!-- a:begin -->\nnew\nlines\n<!-- a:end -->\n\ntail\n");
+        assert_eq!(replaced(&new, "a", "new\nlines").unwrap(), new);
+    }
+
+    #[test]
+    fn a_page_without_markers_gets_them_at_its_end() {
+        assert_eq!(replaced("", "a", "x").unwrap(), "<!-- a:begin -->\nx\n<!-- a:end -->\n");
+        assert_eq!(replaced("top\n", "a", "x").unwrap(), "top\n\n<!-- a:begin -->\nx\n<!-- a:end -->\n");
+    }
+
+    #[test]
+    fn half_a_pair_of_markers_is_an_error() {
+        for page in ["<!-- a:begin -->\n", "<!-- a:end -->", "<!-- a:end --> <!-- a:begin -->"] {
+            assert!(replaced(page, "a", "x").is_err(), "{page}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_made_when_it_is_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("page.md");
+        write_section(&path, "a", "one").unwrap();
+        write_section(&path, "a", "two").unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "<!-- a:begin -->\ntwo\n<!-- a:end -->\n");
+    }
+
+    #[test]
+    fn the_machine_has_cores() {
+        assert!(machine().contains(" cores of "), "{}", machine());
+    }
+}

@@ -1,0 +1,72 @@
+//! How well a prior is known.
+
+use echofix_core::align::combine::sigmas;
+use echofix_proto::v1::Prior;
+
+use crate::grpc::violation::{Violation, require};
+
+/// What a prior may be wrong by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Uncertainty {
+    /// Of (east m, north m, yaw rad).
+    pub covariance: [[f64; 3]; 3],
+    /// Sigma of the position along its longest axis, metres.
+    pub sigma_position_m: f64,
+    /// Sigma of the heading, radians.
+    pub sigma_yaw_rad: f64,
+}
+
+/// The covariance of a prior, or that of its two sigmas.
+///
+/// # Errors
+/// When neither is a proper uncertainty.
+pub fn uncertainty(prior: &Prior) -> Result<Uncertainty, Violation> {
+    if let [xx, xy, xt, yy, yt, tt] = prior.covariance[..] {
+        let covariance = [[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]];
+        let proper = covariance.iter().flatten().all(|v| v.is_finite());
+        let (sigma_position_m, sigma_yaw_rad) = sigmas(&covariance)
+            .filter(|_| proper)
+            .ok_or_else(|| Violation::new("prior.covariance", "must be finite and positive definite"))?;
+        return Ok(Uncertainty { covariance, sigma_position_m, sigma_yaw_rad });
+    }
+    let six = "must hold six values, the upper triangle row by row, or none";
+    require(prior.covariance.is_empty(), "prior.covariance", six)?;
+    let sigma = |value: f64, field: &str| {
+        require(value.is_finite() && value > 0.0, field, "must be a positive number")
+    };
+    sigma(prior.sigma_position_m, "prior.sigma_position_m")?;
+    sigma(prior.sigma_yaw_rad, "prior.sigma_yaw_rad")?;
+    let (position, yaw) = (prior.sigma_position_m.powi(2), prior.sigma_yaw_rad.powi(2));
+    Ok(Uncertainty {
+        covariance: [[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, yaw]],
+        sigma_position_m: prior.sigma_position_m,
+        sigma_yaw_rad: prior.sigma_yaw_rad,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_covariance_stands_for_the_sigmas() {
+        let prior = Prior { covariance: vec![4.0, 0.0, 0.0, 1.0, 0.0, 0.01], ..Prior::default() };
+        let known = uncertainty(&prior).unwrap();
+        assert!((known.sigma_position_m - 2.0).abs() < 1e-12 && (known.sigma_yaw_rad - 0.1).abs() < 1e-12);
+        let plain = Prior { sigma_position_m: 2.0, sigma_yaw_rad: 0.1, ..Prior::default() };
+        assert!((uncertainty(&plain).unwrap().covariance[1][1] - 4.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_no_uncertainty_is_refused() {
+        let told = |covariance: Vec<f64>| {
+            let prior = Prior { covariance, sigma_position_m: 2.0, sigma_yaw_rad: 0.1, ..Prior::default() };
+            uncertainty(&prior).unwrap_err().to_string()
+        };
+        assert!(told(vec![1.0]).contains("six values"));
+        assert!(told(vec![1.0, 2.0, 0.0, 1.0, 0.0, 0.01]).contains("positive definite"));
+        assert!(told(vec![f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.01]).contains("finite"));
+        let none = Prior::default();
+        assert!(uncertainty(&none).unwrap_err().to_string().contains("sigma_position_m"));
+    }
+}
