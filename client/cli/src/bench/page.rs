@@ -92,16 +92,26 @@ fn steps(inside: &Inside, loads: &[Load]) -> String {
 }
 
 fn by_engine(engines: &[Engine]) -> String {
-    let columns = ["engine", "ms a batch, 50 %", "99 %", "of the first", "times faster", "same maximum"];
+    let columns = ["engine", "ms a batch, 50 %", "99 %", "times faster", "same maximum"];
     let mut table = head("The search, and the whole fix, by engine", &columns);
     for Engine { name, ms, ratio, identical } in engines {
         let same = identical.map_or_else(|| "-".to_owned(), |(same, all)| format!("{same} of {all}"));
-        let faster = 1.0 / ratio;
-        let _ = writeln!(
-            table,
-            "| {name} | {:.2} | {:.2} | {ratio:.5} | {faster:.0} | {same} |",
-            ms.p50, ms.p99
-        );
+        let _ = writeln!(table, "| {name} | {:.2} | {:.2} | {:.0} | {same} |", ms.p50, ms.p99, 1.0 / ratio);
     }
+    table + "\nAllocations are counted by `cargo bench -p echofix-tests`.\n"
+}
+
+fn street(cold: &Cold) -> String {
+    let mut table = head("A street for the first time", &["", ""]);
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(table, "| {name} | {value} |");
+    };
+    let both =
+        |ms: Option<Percentiles>| ms.map_or(String::new(), |ms| format!("{:.2} / {:.2}", ms.p50, ms.p99));
+    row("questions, over km of street", format!("{}, {:.2}", cold.asked, cold.street_km));
+    row("ms for the window of a question, 50 / 99 %", both(cold.window_ms));
+    row("... asked again, from the cache", both(cold.cached_ms));
+    row("CPU ms a street km, beyond the same questions again", or_unknown(cold.cpu_ms_per_km, 0));
+    row("memory a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
     table
 }
