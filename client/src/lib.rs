@@ -5,6 +5,7 @@
 //! - [`service`]: where the service is, and who the vehicle is to it.
 //! - [`vehicle`]: localizing without any network: the sliding window of scans and odometry, the
 //!   question to ask, the judgement of the answer, the fix carried on by odometry.
+//! - [`filter`]: fixes and odometry fused to a smooth pose with an honest covariance.
 //! - [`Localizer`]: sends the question, with a deadline and retries.
 //! - [`upload`]: contributing to the map: the recorder cuts a drive into uploads, the spool keeps them
 //!   on disk, the uploader sends them until each is acknowledged.
@@ -34,6 +35,7 @@
 
 pub mod backoff;
 pub mod drivelog;
+pub mod filter;
 mod gate;
 pub mod import;
 mod localizer;
