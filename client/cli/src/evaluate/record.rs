@@ -4,6 +4,7 @@ use echofix_core::pose::{Pose2, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::Serialize;
 
+use super::condition::Condition;
 use super::method::Outcome;
 
 /// A fix farther off than this is wrong, metres.
@@ -12,6 +13,8 @@ pub const WRONG_M: f64 = 1.0;
 /// One fix beside the truth.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Record {
+    /// What kind of place: a town, a scene, a log.
+    pub place: &'static str,
     /// Name of the world.
     pub world: String,
     /// Epoch within the world, from 0.
@@ -22,6 +25,9 @@ pub struct Record {
     pub time_us: i64,
     /// Prior within the epoch, from 0.
     pub prior: usize,
+    /// Under which conditions; the next five say it in columns.
+    #[serde(skip)]
+    pub condition: Condition,
     /// Seconds of scans in the batch.
     pub batch_s: f64,
     /// One-sigma drift of the batch's trajectory after 5 s, metres; 0 without.

@@ -85,15 +85,16 @@ pub type Groups<'a> = Vec<(String, Vec<&'a Record>)>;
 /// Errors of each group.
 pub fn errors(groups: &Groups<'_>) -> String {
     let mut table = String::from(
-        "| | fixes | horizontal, cm | along, cm | across, cm | heading, deg | wrong by > 1 m | map's own error, cm |\n|---|---|---|---|---|---|---|---|\n",
+        "| | fixes | horizontal, cm | along, cm | across, cm | heading, deg | off by > 50 cm | wrong by > 1 m | map's own error, cm |\n|---|---|---|---|---|---|---|---|---|\n",
     );
     for (name, rows) in groups {
         let [horizontal, along, cross, floor] =
             [HORIZONTAL, ALONG, CROSS, FLOOR].map(|quantity| cell(rows, quantity, 100.0, 0));
         let (heading, wrong, count) = (cell(rows, HEADING, 1.0, 2), wrong(rows), rows.len());
+        let off = percent(share(rows.iter().map(|row| (row.error_m() > 0.5, cluster(row)))));
         let _ = writeln!(
             table,
-            "| {name} | {count} | {horizontal} | {along} | {cross} | {heading} | {wrong} | {floor} |"
+            "| {name} | {count} | {horizontal} | {along} | {cross} | {heading} | {off} | {wrong} | {floor} |"
         );
     }
     table
@@ -151,6 +152,21 @@ pub fn covariance(groups: &Groups<'_>) -> String {
             };
             let _ = writeln!(table, "| {name} | {} | {} |", show(two), show(three));
         }
+    }
+    table
+}
+
+/// What becomes of answers where places are easily mistaken.
+pub fn ambiguity(groups: &Groups<'_>) -> String {
+    let mut table = String::from(
+        "| | fixes | wrong by > 1 m | usable | wrong, of the usable | relative score of the alternative, median |\n|---|---|---|---|---|---|\n",
+    );
+    for (name, rows) in groups {
+        let (count, all, of_usable) = (rows.len(), wrong(rows), wrong(&usable(rows)));
+        let available = percent(share(rows.iter().map(|row| (row.usable, cluster(row)))));
+        let second = figures(rows, |row| Some(row.second));
+        let second = second.first().map_or(f64::NAN, |median| median.value);
+        let _ = writeln!(table, "| {name} | {count} | {all} | {available} | {of_usable} | {second:.2} |");
     }
     table
 }
