@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-use crate::evaluate::about::{About, page};
+use crate::evaluate::about::{About, page, part};
 use crate::evaluate::condition::{Condition, Experiment};
 use crate::evaluate::method::{Name, Windows};
 use crate::evaluate::record::Record;
@@ -65,7 +65,8 @@ pub struct Args {
     /// Write every fix to this CSV file.
     #[arg(long)]
     epochs: Option<PathBuf>,
-    /// Write figures to docs/evaluation/ and tables to BENCHMARKS.md, in this folder.
+    /// Write figures to docs/evaluation/ and tables to BENCHMARKS.md, in this folder; with --only, what
+    /// the page says of other experiments stays.
     #[arg(long)]
     write: Option<PathBuf>,
 }
@@ -126,15 +127,15 @@ fn places(args: &Args) -> Places {
         return Places::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
     }
     let experiments = experiments(args);
-    let towns = if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
+    let towns =
+        if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
     let only_scenes = experiments == [Experiment::Ambiguity];
     let scenes = experiments.contains(&Experiment::Ambiguity);
     Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
 }
 
 fn plan(args: &Args) -> Plan {
-    let (epochs, swept) =
-        if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
+    let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
     let contributors = args.map.len().max(1);
     Plan {
         every_s: args.every_s,
@@ -168,5 +169,13 @@ fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::R
     for section in sections {
         section.draw(&figures)?;
     }
-    report::write_section(&folder.join("BENCHMARKS.md"), "evaluate", &page(about, sections))
+    let file = folder.join("BENCHMARKS.md");
+    let known = std::fs::read_to_string(&file).unwrap_or_default();
+    let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
+    if sections.len() < Experiment::ALL.len()
+        && parts.iter().all(|(name, _)| known.contains(&format!("<!-- {name}:begin -->")))
+    {
+        return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
+    }
+    report::write_section(&file, "evaluate", &page(about, sections))
 }

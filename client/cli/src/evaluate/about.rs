@@ -37,7 +37,8 @@ fn command(args: impl Iterator<Item = String>) -> String {
     format!("echofix {rest}")
 }
 
-const SIMULATED: &str = "Each town is mapped on a Thursday and driven again on the Sunday after, on the way of its first
+const SIMULATED: &str =
+    "Each town is mapped on a Thursday and driven again on the Sunday after, on the way of its first
 contributor, with other cars parked and other traffic, batches organised without drift unless said
 otherwise. The parameters are those of `echofix_sim::downtown`, which says what was tuned to come near
 the paper's printed figures, and that it was tuned with the paper's method alone. Errors are against the
@@ -50,15 +51,24 @@ in brackets 95 % confidence intervals, from a bootstrap over blocks of two minut
 other are not independent. `Map's own error` is how far off the poses were, on average, that the map was
 made from: nothing that aligns with the map can know of it.";
 
-/// The whole report.
+/// The whole report: what all experiments share, then each between markers of its own.
 pub fn page(about: &About, sections: &[Section]) -> String {
+    let shared = if about.simulated { format!("{SIMULATED}\n\n{METHOD}") } else { METHOD.to_owned() };
+    let marked = |section: &Section| {
+        let (name, part) = part(about, section);
+        format!("<!-- {name}:begin -->\n{part}\n<!-- {name}:end -->\n")
+    };
+    let head = format!("## The paper's experiments\n\n{shared}\n");
+    std::iter::once(head).chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
+}
+
+/// One experiment's part of the report and the name of its markers.
+pub fn part(about: &About, section: &Section) -> (String, String) {
     let About { machine, command, places, fixes, seed, .. } = about;
-    let world = if about.simulated { format!("{places} {SIMULATED}") } else { places.clone() };
-    let head = format!(
-        "## The paper's experiments\n\n`{command}`: {fixes} fixes, priors of seed {seed}, on {machine}.\n\n{world}\n\n{METHOD}\n"
-    );
-    let parts = std::iter::once(head.as_str()).chain(sections.iter().map(|s| s.text.as_str()));
-    parts.collect::<Vec<_>>().join("\n")
+    let text = section.text.trim_end();
+    let part =
+        format!("{text}\n\nBy `{command}`: {fixes} fixes, priors of seed {seed}. {places} On {machine}.");
+    (format!("evaluate-{}", section.experiment.word()), part)
 }
 
 #[cfg(test)]

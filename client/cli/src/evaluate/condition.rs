@@ -84,6 +84,17 @@ impl Experiment {
     /// All of them, in the order of the report.
     pub const ALL: [Self; 5] = [Self::Headline, Self::Batch, Self::Drift, Self::Crowd, Self::Ambiguity];
 
+    /// Its name in a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Headline => "headline",
+            Self::Batch => "batch",
+            Self::Drift => "drift",
+            Self::Crowd => "crowd",
+            Self::Ambiguity => "ambiguity",
+        }
+    }
+
     /// The conditions it compares: variations of one.
     pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
         match self {

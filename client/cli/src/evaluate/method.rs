@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use echofix_core::align::fft::Plans;
 pub use echofix_core::align::Prior;
+use echofix_core::align::fft::Plans;
 use echofix_core::align::verdict::{Integrity, Verdict};
 use echofix_core::align::{PreparedMap, Search, Workspace, align, fast_global_align, peaks};
 use echofix_core::batch::Batch;
@@ -101,8 +101,7 @@ impl Windows {
         let search_m = self.search.sigmas * prior.sigma_position_m;
         let place = [prior.pose.x_m, prior.pose.y_m];
         let frame = Frame::around(map.zone(), place, self.search.extent_m, search_m);
-        let prepare =
-            || Arc::new(PreparedMap::new(map.window(frame), self.plans(frame.side), &self.search));
+        let prepare = || Arc::new(PreparedMap::new(map.window(frame), self.plans(frame.side), &self.search));
         self.cache.get_with((map.key, frame), prepare)
     }
 

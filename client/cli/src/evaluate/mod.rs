@@ -6,11 +6,12 @@
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
 //! - [`statistics`]: percentiles, intervals, curves.
-//! - [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
+//! - [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
 //! - [`sanity`]: what any run must come out as.
 
 pub mod about;
+pub mod cells;
 pub mod condition;
 pub mod epoch;
 pub mod floor;

@@ -24,15 +24,13 @@ const COLOURS: [RGBColor; 7] = [
 pub struct Curve {
     /// In the legend.
     pub name: String,
-    /// Lines of one colour belong together.
+    /// Number of its colour.
     pub colour: usize,
-    /// Dashed instead of solid.
-    pub dashed: bool,
     /// (x, y).
     pub points: Vec<(f64, f64)>,
 }
 
-/// One of the figures side by side.
+/// One of the figures of a file.
 pub struct Panel {
     /// Above it.
     pub title: String,
@@ -53,12 +51,13 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub fn ccdfs(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
     drawn(path, panels.len(), |areas| {
         for (area, panel) in areas.iter().zip(panels) {
-            let mut chart = framed(area, &panel.title)
-                .build_cartesian_2d(0.0..panel.x_max, (1e-3..1.0).log_scale())?;
+            let mut chart =
+                framed(area, &panel.title).build_cartesian_2d(0.0..panel.x_max, (1e-3..1.0).log_scale())?;
             chart
                 .configure_mesh()
                 .x_desc(panel.x)
                 .y_desc("share of the epochs above")
+                .label_style(("sans-serif", 15))
                 .light_line_style(TRANSPARENT)
                 .draw()?;
             let clipped = |curve: &Curve| {
@@ -82,6 +81,7 @@ pub fn rocs(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
             .configure_mesh()
             .x_desc("right answers refused, share")
             .y_desc("wrong answers refused, share")
+            .label_style(("sans-serif", 15))
             .light_line_style(TRANSPARENT)
             .draw()?;
         lines(&mut chart, curves, |curve| curve.points.clone())
@@ -89,7 +89,7 @@ pub fn rocs(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
 }
 
 /// Side of a Stanford diagram's square, metres, and how many bins it has.
-const STANFORD: (f64, usize) = (1.5, 60);
+const STANFORD: (f64, usize) = (2.0, 80);
 
 /// A Stanford diagram: counts of (error, protection level) pairs; what lies below the diagonal is
 /// misleading. Larger values are drawn at the edge.
@@ -110,6 +110,7 @@ pub fn stanford(path: &Path, title: &str, pairs: &[(f64, f64)], alert_m: f64) ->
             .configure_mesh()
             .x_desc("horizontal error, m")
             .y_desc("horizontal protection level, m")
+            .label_style(("sans-serif", 15))
             .light_line_style(TRANSPARENT)
             .draw()?;
         let step = most / bins as f64;
@@ -132,7 +133,7 @@ pub fn stanford(path: &Path, title: &str, pairs: &[(f64, f64)], alert_m: f64) ->
 
 fn framed<'a, 'b>(area: &'a Area<'b>, title: &str) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     let mut builder = ChartBuilder::on(area);
-    builder.caption(title, ("sans-serif", 15)).margin(12).x_label_area_size(38).y_label_area_size(52);
+    builder.caption(title, ("sans-serif", 20)).margin(12).x_label_area_size(42).y_label_area_size(56);
     builder
 }
 
@@ -148,17 +149,14 @@ where
 {
     for curve in curves {
         let style = COLOURS[curve.colour % COLOURS.len()].stroke_width(2);
-        let drawn = if curve.dashed {
-            chart.draw_series(DashedLineSeries::new(points(curve), 5, 4, style))?
-        } else {
-            chart.draw_series(LineSeries::new(points(curve), style))?
-        };
-        drawn
+        chart
+            .draw_series(LineSeries::new(points(curve), style))?
             .label(&curve.name)
             .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], style));
     }
     chart
         .configure_series_labels()
+        .label_font(("sans-serif", 14))
         .position(SeriesLabelPosition::UpperRight)
         .background_style(WHITE.mix(0.8))
         .border_style(BLACK.mix(0.3))
@@ -166,7 +164,7 @@ where
     Ok(())
 }
 
-/// Draws panels side by side and writes them.
+/// Draws panels, at most two side by side, and writes them.
 fn drawn(
     path: &Path,
     panels: usize,
@@ -174,11 +172,34 @@ fn drawn(
 ) -> anyhow::Result<()> {
     let mut svg = String::new();
     {
-        let size = (PANEL.0 * panels as u32, PANEL.1);
+        let (columns, rows) = (panels.clamp(1, 2), panels.div_ceil(2).max(1));
+        let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
-        draw(&root.split_evenly((1, panels)))?;
+        draw(&root.split_evenly((rows, columns)))?;
         root.present()?;
     }
     std::fs::write(path, svg).with_context(|| format!("writing {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_written_with_their_curves() {
+        let folder = tempfile::tempdir().unwrap();
+        let curve = || Curve { name: "a curve".to_owned(), colour: 8, points: vec![(0.1, 0.9), (0.5, 0.01)] };
+        let panel = || Panel { title: "T".to_owned(), x: "error, m", x_max: 1.0, curves: vec![curve()] };
+        let path = folder.path().join("f.svg");
+        let svg = || std::fs::read_to_string(&path).unwrap();
+        ccdfs(&path, &[panel(), panel(), panel(), panel()]).unwrap();
+        assert!(svg().contains("a curve") && svg().matches("<polyline").count() >= 4);
+        assert!(svg().contains("height=\"800\""));
+        rocs(&path, "ROC", &[curve()]).unwrap();
+        assert!(svg().contains("ROC") && svg().contains("height=\"400\""));
+        stanford(&path, "Stanford", &[(0.1, 0.4), (9.0, 9.0)], 0.5).unwrap();
+        assert!(svg().contains("Stanford"));
+        assert!(rocs(&folder.path().join("no/where.svg"), "", &[]).is_err());
+    }
 }

@@ -186,8 +186,8 @@ mod tests {
     fn errors_turn_with_the_vehicle() {
         let truth = Pose2::new(100.0, 50.0, FRAC_PI_2);
         let facts = Facts { truth, drifted: Pose2::new(100.0, 49.0, FRAC_PI_2), scale: 0.5, floor: None };
-        let row = Record::default()
-            .answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
+        let row =
+            Record::default().answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
         assert!((row.along_m - 0.4).abs() < 1e-9 && (row.cross_m + 0.2).abs() < 1e-9);
         assert!((row.yaw_deg - 0.01_f64.to_degrees()).abs() < 1e-9);
         assert!((row.offset_m - 2.0 * 0.1_f64.hypot(1.2)).abs() < 1e-9);

@@ -1,6 +1,7 @@
 //! What any run must come out as: a broken method, map or simulator does not pass.
 
 use anyhow::ensure;
+use echofix_sim::Scene;
 
 use super::condition::Condition;
 use super::record::Record;
@@ -16,6 +17,8 @@ const MEDIAN_DEG: f64 = 0.5;
 const MOST_WRONG: f64 = 0.08;
 /// Share of wrong answers among the usable ones of a method that judges.
 const MOST_WRONG_USABLE: f64 = 0.02;
+/// Share of the answers that a method that judges may call usable where nothing stands.
+const MOST_USABLE_IN_A_FIELD: f64 = 0.1;
 /// Share of the answers that a method must call usable in a town.
 const LEAST_USABLE: f64 = 0.3;
 
@@ -24,6 +27,7 @@ const LEAST_USABLE: f64 = 0.3;
 /// # Errors
 /// Naming what is out of bounds.
 pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
+    let all = rows;
     let rows: Vec<&Record> = rows.iter().filter(|r| !is_scene(r.place) && r.condition == *base).collect();
     ensure!(!rows.is_empty(), "not a single fix was asked for");
     for method in methods(&rows) {
@@ -46,6 +50,10 @@ pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
                 "{method}: {:.1} % of the usable answers are wrong by a metre",
                 100.0 * wrong
             );
+            let field: Vec<_> =
+                all.iter().filter(|r| r.method == method && r.place == Scene::OpenField.name()).collect();
+            let usable = share(field.iter().filter(|r| r.usable).count(), field.len());
+            ensure!(usable < MOST_USABLE_IN_A_FIELD, "{method}: an open field is called usable");
         }
     }
     Ok(())
@@ -74,8 +82,11 @@ mod tests {
         assert!(reason(&rows(20, true)).contains("20.0 % are wrong"));
         assert!(reason(&rows(60, true)).contains("median error is 5.00 m"));
         assert!(reason(&[]).contains("not a single fix"));
+        let mut field = rows(2, false);
+        field.push(Record { method: "m", place: Scene::OpenField.name(), usable: true, ..Record::default() });
+        assert!(reason(&field).contains("open field"));
         let mut few = rows(0, true);
         few[1..].iter_mut().for_each(|r| r.usable = false);
-        assert!(reason(&few).contains("usable"));
+        assert!(reason(&few).contains("only 1 % are usable"));
     }
 }

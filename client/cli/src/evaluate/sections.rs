@@ -8,10 +8,7 @@ use super::plots::{self, Curve, Panel};
 use super::record::Record;
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
-use super::tables::{self, Groups, methods, of_method};
-
-/// The alert limit the paper speaks of, metres.
-const ALERT_M: f64 = 0.5;
+use super::tables::{self, ALERT_M, Groups, methods, of_method};
 
 /// A part of the report.
 pub struct Section {
@@ -59,9 +56,7 @@ impl Section {
 /// Rows of a condition: of the town or log, not of the scenes.
 fn under<'a>(rows: &'a [Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
     let streets = super::simulated::is_scene;
-    rows.iter()
-        .filter(|r| !streets(r.place) && r.condition == *condition && (!swept || r.swept))
-        .collect()
+    rows.iter().filter(|r| !streets(r.place) && r.condition == *condition && (!swept || r.swept)).collect()
 }
 
 fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {
@@ -88,7 +83,7 @@ fn headline(rows: &[Record], base: Condition) -> Section {
     .join("\n");
     let pairs = rows.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
     let figures = vec![
-        ("ccdf-headline.svg", Figure::Ccdfs(panels(&groups, |name, k| (name.to_owned(), k, false)))),
+        ("ccdf-headline.svg", Figure::Ccdfs(panels("", &groups))),
         ("stanford.svg", Figure::Stanford("Errors and protection levels".to_owned(), pairs.collect())),
     ];
     Section { experiment: Experiment::Headline, text, figures }
@@ -112,43 +107,46 @@ fn swept(experiment: Experiment, rows: &[Record], conditions: &[Condition]) -> S
             "ccdf-crowd.svg",
         ),
     };
+    let all: Vec<_> = conditions.iter().flat_map(|condition| under(rows, condition, true)).collect();
     let mut groups = Groups::new();
-    for condition in conditions {
-        for (method, rows) in by_method(&under(rows, condition, true)) {
-            groups.push((format!("{method}, {}", condition.name(experiment)), rows));
-        }
+    let mut all_panels = Vec::new();
+    for method in methods(&all) {
+        let of = |condition: &Condition| {
+            (condition.name(experiment), of_method(&under(rows, condition, true), method))
+        };
+        let lines: Groups<'_> = conditions.iter().map(of).collect();
+        all_panels.extend(panels(&format!("{method}: "), &lines));
+        groups.extend(lines.into_iter().map(|(name, rows)| (format!("{method}, {name}"), rows)));
     }
-    groups.sort_by_key(|(name, _)| name.split(',').next().map(|m| m != "paper"));
     let table = match experiment {
         Experiment::Drift => tables::drifted(&groups),
-        _ => tables::errors(&groups),
+        _ => tables::sweep(&groups),
     };
-    let integrity = tables::integrity(&groups);
-    let text =
-        [&format!("### {title}\n\n{words}"), &table, &integrity, &image(title, file)].map(String::as_str).join("\n");
-    let count = conditions.len().max(1);
-    let colour = |name: &str, k: usize| (name.to_owned(), k % count, k >= count);
-    Section { experiment, text, figures: vec![(file, Figure::Ccdfs(panels(&groups, colour)))] }
+    let count = groups.first().map_or(0, |(_, rows)| rows.len());
+    let head = format!("### {title}\n\n{words}\n{count} fixes a line.\n");
+    let text = [&head, &table, &image(title, file)].map(String::as_str).join("\n");
+    Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))] }
 }
 
-/// Horizontal and heading errors of groups; `look` gives a group's name, colour, and whether dashed.
-fn panels(groups: &Groups<'_>, look: impl Fn(&str, usize) -> (String, usize, bool)) -> Vec<Panel> {
+/// Horizontal and heading errors of groups, a colour each.
+fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
     let curves = |error: fn(&Record) -> f64| -> Vec<Curve> {
-        let curve = |(k, (name, rows)): (usize, &(String, Vec<&Record>))| {
-            let (name, colour, dashed) = look(name, k);
-            Curve { name, colour, dashed, points: ccdf(rows.iter().map(|row| error(row))) }
+        let curve = |(colour, (name, rows)): (usize, &(String, Vec<&Record>))| Curve {
+            name: name.clone(),
+            colour,
+            points: ccdf(rows.iter().map(|row| error(row))),
         };
         groups.iter().enumerate().map(curve).collect()
     };
     vec![
         Panel {
-            title: "Horizontal position".to_owned(),
+            title: format!("{prefix}horizontal position"),
             x: "error, m",
             x_max: 1.5,
             curves: curves(Record::error_m),
         },
         Panel {
-            title: "Heading".to_owned(),
+            title: format!("{prefix}heading"),
             x: "error, deg",
             x_max: 3.0,
             curves: curves(|row| row.yaw_deg.abs()),
@@ -168,8 +166,11 @@ fn ambiguity(rows: &[Record], base: Condition) -> Section {
             groups.push((format!("{method}, {place}"), here));
         }
     }
-    let curves: Vec<(Curve, String)> =
-        by_method(&all).into_iter().enumerate().filter_map(|(k, (name, rows))| detector(k, &name, &rows)).collect();
+    let curves: Vec<(Curve, String)> = by_method(&all)
+        .into_iter()
+        .enumerate()
+        .filter_map(|(k, (name, rows))| detector(k, &name, &rows))
+        .collect();
     let words = "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the relative score of the best alternative tell answers that are wrong by more than a metre?\n";
     let mut text = [words, &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {
@@ -179,7 +180,11 @@ fn ambiguity(rows: &[Record], base: Condition) -> Section {
     text.push_str(&image("Receiver operating characteristic", "roc-ambiguity.svg"));
     let curves = curves.into_iter().map(|(curve, _)| curve).collect();
     let title = "Refusing ambiguous answers".to_owned();
-    Section { experiment: Experiment::Ambiguity, text, figures: vec![("roc-ambiguity.svg", Figure::Rocs(title, curves))] }
+    Section {
+        experiment: Experiment::Ambiguity,
+        text,
+        figures: vec![("roc-ambiguity.svg", Figure::Rocs(title, curves))],
+    }
 }
 
 /// How a method's relative scores tell wrong answers, as a curve and in a line of words.
@@ -193,5 +198,5 @@ fn detector(colour: usize, name: &str, rows: &[&Record]) -> Option<(Curve, Strin
         100.0 * found.detected_at(0.05),
         100.0 * found.detected_at(0.2),
     );
-    Some((Curve { name: name.to_owned(), colour, dashed: false, points: found.points }, line))
+    Some((Curve { name: name.to_owned(), colour, points: found.points }, line))
 }

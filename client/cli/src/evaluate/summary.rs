@@ -21,7 +21,7 @@ pub fn of(rows: &[Record], experiments: &[Experiment], base: Condition, crowds: 
             let rows: Vec<&Record> = rows.iter().filter(of_all).collect();
             for method in methods(&rows) {
                 let name = condition.name(*experiment);
-                let experiment = format!("{experiment:?}").to_lowercase();
+                let experiment = experiment.word();
                 let figures = figures(&of_method(&rows, method));
                 all.push(json!({
                     "experiment": experiment, "condition": name, "method": method, "figures": figures,
@@ -58,7 +58,8 @@ mod tests {
     #[test]
     fn figures_come_by_condition_and_method() {
         let base = Condition::default();
-        let row = |method, place, along_m| Record { method, place, along_m, usable: true, ..Record::default() };
+        let row =
+            |method, place, along_m| Record { method, place, along_m, usable: true, ..Record::default() };
         let rows = [row("a", "town", 2.0), row("b", "town", 0.1), row("a", "tunnel", 3.0)];
         let all = of(&rows, &[Experiment::Headline, Experiment::Ambiguity], base, &[1]);
         let wrong: Vec<_> = (0..3).map(|k| all[k]["figures"]["wrong_usable"].as_u64().unwrap()).collect();

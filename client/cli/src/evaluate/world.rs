@@ -49,12 +49,7 @@ impl World {
     ///
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
-    pub fn new(
-        index: usize,
-        drives: Drives,
-        crowds: &[usize],
-        max_sigma_m: f64,
-    ) -> anyhow::Result<Self> {
+    pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
         let Drives { place, name, mapping, localized: drive } = drives;
         let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
         let first = poses
