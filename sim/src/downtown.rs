@@ -31,8 +31,7 @@ pub fn city(seed: u64) -> CityParams {
 /// A drive in it.
 #[must_use]
 pub fn drive() -> DriveParams {
-    let pose_error =
-        PoseError { sigma_position_m: 0.11, correlation_s: 90.0, ..PoseError::default() };
+    let pose_error = PoseError { sigma_position_m: 0.11, correlation_s: 90.0, ..PoseError::default() };
     DriveParams {
         radars: RadarSpec::paper_set().into_iter().map(worn).collect(),
         pose_error,

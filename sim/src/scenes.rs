@@ -153,7 +153,9 @@ mod tests {
             let all = &facades.structure().reflectors;
             let pitch_m = distance(all[0].at, all[2].at);
             assert!((4.0..6.0).contains(&pitch_m), "seed {seed}: {pitch_m}");
-            assert!(all.windows(3).filter(|w| (distance(w[0].at, w[2].at) - pitch_m).abs() < 1e-6).count() > 200);
+            assert!(
+                all.windows(3).filter(|w| (distance(w[0].at, w[2].at) - pitch_m).abs() < 1e-6).count() > 200
+            );
             let slots = Scene::ParkedCars.city(seed).unwrap();
             let pitch_m = slots.slots()[0].period_m;
             assert!((4.0..6.0).contains(&pitch_m), "seed {seed}: {pitch_m}");

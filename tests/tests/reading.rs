@@ -166,7 +166,7 @@ async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
     let (mut west, mut east) = (Vec::new(), Vec::new());
     let (mut asked, mut across) = (0, 0);
     for case in cases(&drive, 3.0, Sigma::PAPER, seed) {
-        let prior = case.request.prior.unwrap().pose.unwrap();
+        let prior = case.request.prior.as_ref().unwrap().pose.unwrap();
         let answer = client.localize(case.request.clone()).await.expect("there is a map").into_inner();
         let errors = match answer.utm.unwrap().epsg {
             32631 => &mut west,

@@ -2,27 +2,32 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 
-use crate::evaluate::condition::Experiment;
+use crate::evaluate::about::{About, page, part};
+use crate::evaluate::condition::{Condition, Experiment};
 use crate::evaluate::method::{Name, Windows};
 use crate::evaluate::record::Record;
 use crate::evaluate::run::{Plan, run as ask_all};
-use crate::evaluate::world::World;
-use crate::evaluate::{simulated, tables};
-use crate::progress;
+use crate::evaluate::sections::Section;
+use crate::evaluate::worlds::Places;
+use crate::evaluate::{sanity, summary};
+use crate::{progress, report};
 
 /// Arguments of `echofix evaluate`.
 #[derive(clap::Args)]
 pub struct Args {
+    /// A few epochs of everything, in a few minutes.
+    #[arg(long)]
+    quick: bool,
     /// Seeds of the simulated towns.
     #[arg(long, value_delimiter = ',', default_value = "21,22,23,24,25,26,27,28")]
     world_seeds: Vec<u64>,
-    /// Epochs of a town, at most.
+    /// Epochs of a town or log, at most.
     #[arg(long, default_value_t = 300)]
     epochs_per_world: usize,
     /// Of those, epochs at which every condition is asked, not the headline's alone.
-    #[arg(long, default_value_t = 100)]
+    #[arg(long, default_value_t = 60)]
     swept_per_world: usize,
     /// Seconds of driving between epochs.
     #[arg(long, default_value_t = 1.0)]
@@ -42,67 +47,135 @@ pub struct Args {
     /// Contributors of the crowd experiment's maps.
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
+    /// Localize this drive log instead of simulated drives; needs --map.
+    #[arg(long, requires = "map")]
+    drive: Option<PathBuf>,
+    /// Make the map of this drive log; may be given several times, in the order they join the map.
+    #[arg(long, requires = "drive")]
+    map: Vec<PathBuf>,
+    /// Organise a log's batches by its known poses, as the paper did, instead of by its odometry.
+    #[arg(long, requires = "drive")]
+    known_odometry: bool,
+    /// Reference poses of a log with a larger sigma are not mapped from, metres.
+    #[arg(long, default_value_t = 0.3)]
+    max_sigma_m: f64,
     /// Memory for prepared windows, mebibytes.
     #[arg(long, default_value_t = 1024)]
     windows_mib: u64,
     /// Write every fix to this CSV file.
     #[arg(long)]
     epochs: Option<PathBuf>,
+    /// Write figures to docs/evaluation/ and tables to BENCHMARKS.md, in this folder; with --only, what
+    /// the page says of other experiments stays.
+    #[arg(long)]
+    write: Option<PathBuf>,
 }
-
-/// Reference poses with a larger sigma are not mapped from, metres.
-const MAX_SIGMA_M: f64 = 0.3;
 
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a world cannot be made or a file not be written.
+/// When a world cannot be made, a file not be written, or the figures are not sane.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let experiments = if args.only.is_empty() { Experiment::ALL.to_vec() } else { args.only.clone() };
+    let (places, plan, crowds) = (places(args), plan(args), crowds(args));
+    let experiments = experiments(args);
     let mut conditions = Vec::new();
-    for condition in experiments.iter().flat_map(|e| e.conditions(&args.crowds)) {
+    for condition in experiments.iter().flat_map(|e| e.conditions(plan.base, &crowds)) {
         if !conditions.contains(&condition) {
             conditions.push(condition);
         }
     }
-    let crowds: Vec<usize> = conditions.iter().map(|c| c.contributors).collect();
-    let most = crowds.iter().copied().max().unwrap_or(1);
-    let plan = Plan {
-        every_s: args.every_s,
-        epochs: args.epochs_per_world,
-        swept: args.swept_per_world,
-        priors: args.priors,
-        seed: args.seed,
-        methods: args.methods.clone(),
-    };
     let windows = Windows::new(args.windows_mib);
     let bar = progress::bar("epochs", 0, json);
     let mut rows = Vec::new();
-    for (index, seed) in args.world_seeds.iter().enumerate() {
-        let drives = simulated::town(*seed, most)?;
-        let world = World::new(index, format!("town {seed}"), drives, &crowds, MAX_SIGMA_M)?;
+    for index in 0..places.len() {
+        let conditions = places.conditions(index, &conditions, plan.base);
+        let world = places.world(index, &conditions, args.max_sigma_m)?;
         rows.extend(ask_all(&world, &conditions, &plan, &windows, &bar)?);
     }
     bar.finish_and_clear();
-    if let Some(path) = &args.epochs {
-        write(path, &rows).with_context(|| format!("writing {}", path.display()))?;
+    if rows.is_empty() {
+        bail!("there is no epoch at which a fix could be asked for: the drives are too short or too slow");
     }
-    let all: Vec<&Record> = rows.iter().collect();
-    let groups: tables::Groups<'_> = tables::methods(&all)
-        .into_iter()
-        .map(|name| (name.to_owned(), tables::of_method(&all, name)))
-        .collect();
-    println!("{}", tables::errors(&groups));
-    println!("{}", tables::integrity(&groups));
-    println!("{}", tables::covariance(&groups));
-    println!("{}", tables::costs(&groups));
+    if let Some(path) = &args.epochs {
+        write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
+    }
+    let sections: Vec<Section> =
+        experiments.iter().map(|e| Section::of(*e, &rows, plan.base, &crowds)).collect();
+    let about = About::of(&places, &plan, &rows);
+    if json {
+        println!("{}", summary::of(&rows, &experiments, plan.base, &crowds));
+    } else {
+        println!("{}", page(&about, &sections));
+    }
+    if let Some(folder) = &args.write {
+        write_report(folder, &about, &sections)?;
+    }
+    if args.quick {
+        sanity::check(&rows, &plan.base)?;
+    }
     Ok(())
 }
 
-fn write(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
+fn experiments(args: &Args) -> Vec<Experiment> {
+    let logs = args.drive.is_some();
+    let asked = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
+    asked.iter().copied().filter(|e| !(logs && *e == Experiment::Ambiguity)).collect()
+}
+
+fn places(args: &Args) -> Places {
+    if let Some(drive) = &args.drive {
+        return Places::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
+    }
+    let experiments = experiments(args);
+    let towns =
+        if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
+    let only_scenes = experiments == [Experiment::Ambiguity];
+    let scenes = experiments.contains(&Experiment::Ambiguity);
+    Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
+}
+
+fn plan(args: &Args) -> Plan {
+    let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
+    let contributors = args.map.len().max(1);
+    Plan {
+        every_s: args.every_s,
+        epochs,
+        swept,
+        base: Condition { contributors, ..Condition::default() },
+        priors: args.priors,
+        seed: args.seed,
+        methods: args.methods.clone(),
+    }
+}
+
+fn crowds(args: &Args) -> Vec<usize> {
+    let logs = args.map.len();
+    let most = if args.quick { 2 } else { usize::MAX };
+    let possible = |n: &usize| *n >= 1 && *n <= most && (logs == 0 || *n <= logs);
+    args.crowds.iter().copied().filter(possible).collect()
+}
+
+fn write_rows(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
     let mut writer = csv::Writer::from_path(path)?;
     for row in rows {
         writer.serialize(row)?;
     }
     Ok(writer.flush()?)
+}
+
+fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::Result<()> {
+    let figures = folder.join("docs/evaluation");
+    std::fs::create_dir_all(&figures).with_context(|| format!("making {}", figures.display()))?;
+    for section in sections {
+        section.draw(&figures)?;
+    }
+    let file = folder.join("BENCHMARKS.md");
+    let known = std::fs::read_to_string(&file).unwrap_or_default();
+    let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
+    if sections.len() < Experiment::ALL.len()
+        && parts.iter().all(|(name, _)| known.contains(&format!("<!-- {name}:begin -->")))
+    {
+        return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
+    }
+    report::write_section(&file, "evaluate", &page(about, sections))
 }

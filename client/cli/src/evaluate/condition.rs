@@ -16,25 +16,43 @@ pub struct Condition {
     pub contributors: usize,
 }
 
-impl Condition {
+impl Default for Condition {
     /// The paper's: 5 s, no drift, a map of one drive.
-    pub const HEADLINE: Self = Self { batch_s: BATCH_S, drift: None, contributors: 1 };
+    fn default() -> Self {
+        Self { batch_s: BATCH_S, drift: None, contributors: 1 }
+    }
+}
 
-    /// The paper's drifts at the end of 5 s, smallest first; of each level linear, then quadratic.
-    pub fn drifts() -> Vec<Self> {
+impl Condition {
+    /// The same under the paper's drifts, smallest first; of each level linear, then quadratic.
+    fn drifts(self) -> Vec<Self> {
         let levels = Drift::PAPER_LEVELS.into_iter();
         let grown = |level| [Growth::Linear, Growth::Quadratic].map(|growth| Drift::over_5_s(level, growth));
-        levels.flat_map(grown).map(|drift| Self { drift: Some(drift), ..Self::HEADLINE }).collect()
+        levels.flat_map(grown).map(|drift| Self { drift: Some(drift), ..self }).collect()
     }
 
-    /// The paper's batch lengths.
-    pub fn batches() -> Vec<Self> {
-        [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].map(|batch_s| Self { batch_s, ..Self::HEADLINE }).to_vec()
+    /// The same with the paper's batch lengths.
+    fn batches(self) -> Vec<Self> {
+        [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].map(|batch_s| Self { batch_s, ..self }).to_vec()
     }
 
-    /// Maps of so many contributors.
-    pub fn crowds(contributors: &[usize]) -> Vec<Self> {
-        contributors.iter().map(|contributors| Self { contributors: *contributors, ..Self::HEADLINE }).collect()
+    /// The same on maps of so many contributors.
+    fn crowds(self, contributors: &[usize]) -> Vec<Self> {
+        contributors.iter().map(|contributors| Self { contributors: *contributors, ..self }).collect()
+    }
+
+    /// What is varied in an experiment, in a few words.
+    pub fn name(&self, experiment: Experiment) -> String {
+        match (experiment, self.drift) {
+            (Experiment::Batch, _) => format!("{:.0} s", self.batch_s),
+            (Experiment::Crowd, _) if self.contributors == 1 => "1 contributor".to_owned(),
+            (Experiment::Crowd, _) => format!("{} contributors", self.contributors),
+            (Experiment::Drift, Some(drift)) => {
+                let (cm, deg) = (100.0 * drift.sigma_position_m, drift.sigma_yaw_rad.to_degrees());
+                format!("{} {cm:.0} cm, {deg:.2} deg", self.growth())
+            }
+            _ => format!("{:.0} s, {} contributor(s)", self.batch_s, self.contributors),
+        }
     }
 
     /// How the drift grows, in a word; empty without.
@@ -66,13 +84,46 @@ impl Experiment {
     /// All of them, in the order of the report.
     pub const ALL: [Self; 5] = [Self::Headline, Self::Batch, Self::Drift, Self::Crowd, Self::Ambiguity];
 
-    /// The conditions it compares.
-    pub fn conditions(self, crowds: &[usize]) -> Vec<Condition> {
+    /// Its name in a word.
+    pub fn word(self) -> &'static str {
         match self {
-            Self::Headline | Self::Ambiguity => vec![Condition::HEADLINE],
-            Self::Batch => Condition::batches(),
-            Self::Drift => Condition::drifts(),
-            Self::Crowd => Condition::crowds(crowds),
+            Self::Headline => "headline",
+            Self::Batch => "batch",
+            Self::Drift => "drift",
+            Self::Crowd => "crowd",
+            Self::Ambiguity => "ambiguity",
+        }
+    }
+
+    /// The conditions it compares: variations of one.
+    pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
+        match self {
+            Self::Headline | Self::Ambiguity => vec![base],
+            Self::Batch => base.batches(),
+            Self::Drift => base.drifts(),
+            Self::Crowd => base.crowds(crowds),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn experiments_vary_one_thing_each() {
+        let base = Condition::default();
+        for experiment in Experiment::ALL {
+            let all = experiment.conditions(base, &[1, 5]);
+            let names: std::collections::BTreeSet<_> = all.iter().map(|c| c.name(experiment)).collect();
+            assert_eq!(names.len(), all.len(), "{names:?}");
+            let varied = |differs: fn(&Condition, &Condition) -> bool| all.iter().any(|c| differs(c, &base));
+            let varied = [
+                varied(|a, b| a.batch_s > b.batch_s),
+                varied(|a, b| a.drift != b.drift),
+                varied(|a, b| a.contributors != b.contributors),
+            ];
+            assert!(varied.iter().filter(|v| **v).count() <= 1);
         }
     }
 }

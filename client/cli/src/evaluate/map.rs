@@ -92,7 +92,10 @@ impl RadarMap {
             mapped = true;
         }
         mapped.then_some(()).with_context(|| {
-            format!("the drive of `{}` has no reference pose known to {max_sigma_m} m to map from", drive.vehicle)
+            format!(
+                "the drive of `{}` has no reference pose known to {max_sigma_m} m to map from",
+                drive.vehicle
+            )
         })
     }
 

@@ -2,19 +2,30 @@
 //!
 //! - [`condition`]: under which conditions fixes are asked for, and which experiment compares which.
 //! - [`map`]: a radar map in memory; [`floor`]: how far off its own poses were.
-//! - [`world`]: maps of one day, a drive on another, the truth; [`simulated`]: towns.
+//! - [`world`]: maps of one day, a drive on another, the truth, [`simulated`] or [`logged`]; [`worlds`]: which.
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
-//! - [`statistics`]: percentiles, intervals, curves; [`tables`]: the report.
+//! - [`statistics`]: percentiles, intervals, curves.
+//! - [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
+//! - [`about`]: how the figures came about; [`summary`]: figures for machines.
+//! - [`sanity`]: what any run must come out as.
 
+pub mod about;
+pub mod cells;
 pub mod condition;
 pub mod epoch;
 pub mod floor;
+pub mod logged;
 pub mod map;
 pub mod method;
+pub mod plots;
 pub mod record;
 pub mod run;
+pub mod sanity;
+pub mod sections;
 pub mod simulated;
 pub mod statistics;
+pub mod summary;
 pub mod tables;
 pub mod world;
+pub mod worlds;

@@ -4,6 +4,7 @@ use echofix_core::pose::{Pose2, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::Serialize;
 
+use super::condition::Condition;
 use super::method::Outcome;
 
 /// A fix farther off than this is wrong, metres.
@@ -12,6 +13,8 @@ pub const WRONG_M: f64 = 1.0;
 /// One fix beside the truth.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Record {
+    /// What kind of place: a town, a scene, a log.
+    pub place: &'static str,
     /// Name of the world.
     pub world: String,
     /// Epoch within the world, from 0.
@@ -22,6 +25,9 @@ pub struct Record {
     pub time_us: i64,
     /// Prior within the epoch, from 0.
     pub prior: usize,
+    /// Under which conditions; the next five say it in columns.
+    #[serde(skip)]
+    pub condition: Condition,
     /// Seconds of scans in the batch.
     pub batch_s: f64,
     /// One-sigma drift of the batch's trajectory after 5 s, metres; 0 without.
@@ -180,8 +186,8 @@ mod tests {
     fn errors_turn_with_the_vehicle() {
         let truth = Pose2::new(100.0, 50.0, FRAC_PI_2);
         let facts = Facts { truth, drifted: Pose2::new(100.0, 49.0, FRAC_PI_2), scale: 0.5, floor: None };
-        let row = Record::default()
-            .answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
+        let row =
+            Record::default().answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
         assert!((row.along_m - 0.4).abs() < 1e-9 && (row.cross_m + 0.2).abs() < 1e-9);
         assert!((row.yaw_deg - 0.01_f64.to_degrees()).abs() < 1e-9);
         assert!((row.offset_m - 2.0 * 0.1_f64.hypot(1.2)).abs() < 1e-9);

@@ -25,6 +25,8 @@ pub struct Plan {
     pub epochs: usize,
     /// Of those, epochs at which every condition is asked; the others see the headline only.
     pub swept: usize,
+    /// The headline's condition.
+    pub base: Condition,
     /// Priors drawn an epoch.
     pub priors: usize,
     /// Seed of priors and drift.
@@ -68,7 +70,7 @@ fn at_epoch(
     let seed = seed_of(plan.seed, world.index, epoch.number);
     let mut rows = Vec::new();
     for condition in conditions {
-        if !epoch.swept && *condition != Condition::HEADLINE {
+        if !epoch.swept && *condition != plan.base {
             continue;
         }
         let mut batches = BTreeMap::new();
@@ -105,11 +107,13 @@ fn fix(
     let floor = world.floor.around(&truth, condition.contributors);
     let facts = Facts { truth, drifted: *drifted, scale: world.scale, floor };
     let row = Record {
+        place: world.place,
         world: world.name.clone(),
         epoch: epoch.number,
         block: epoch.block,
         time_us: epoch.time_us,
         prior: number,
+        condition: *condition,
         batch_s: condition.batch_s,
         drift_m: condition.drift.map_or(0.0, |d| d.sigma_position_m),
         drift_deg: condition.drift.map_or(0.0, |d| d.sigma_yaw_rad.to_degrees()),

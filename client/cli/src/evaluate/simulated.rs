@@ -1,14 +1,21 @@
-//! Simulated worlds: a town mapped on one day and driven again on another.
+//! Simulated worlds: a town or a single street, mapped on one day and driven again on another.
 
 use echofix_core::drive::Drive;
-use echofix_sim::{City, DriveParams, OdometryModel, Route, downtown, simulate};
+use echofix_sim::{City, DriveParams, OdometryModel, Route, Scene, downtown, simulate};
 use rayon::prelude::*;
 
 use super::world::Drives;
 
+/// What kind of place a town is.
+pub const TOWN: &str = "town";
 const DAY_US: i64 = 86_400_000_000;
 /// Days from the mapping drives to the localized one: from Thursday to Sunday, as in the paper.
 const DAYS_LATER: u32 = 3;
+
+/// Is it one of the streets made to be mistaken?
+pub fn is_scene(place: &str) -> bool {
+    Scene::ALL.iter().any(|scene| scene.name() == place)
+}
 
 /// A town of a seed, driven through by `contributors` on day 0 and by another vehicle days later.
 ///
@@ -18,17 +25,25 @@ const DAYS_LATER: u32 = 3;
 /// When a parameter is out of range.
 pub fn town(seed: u64, contributors: usize) -> anyhow::Result<Drives> {
     let city = City::generate(&downtown::city(seed))?;
-    drives(&city, seed, contributors)
+    drives(&city, TOWN, seed, contributors)
 }
 
-fn drives(city: &City, seed: u64, contributors: usize) -> anyhow::Result<Drives> {
+/// A street that is made to be mistaken, in the same way.
+///
+/// # Errors
+/// When a parameter is out of range.
+pub fn scene(scene: Scene, seed: u64) -> anyhow::Result<Drives> {
+    drives(&scene.city(seed)?, scene.name(), seed, 1)
+}
+
+fn drives(city: &City, place: &'static str, seed: u64, contributors: usize) -> anyhow::Result<Drives> {
     let number = |vehicle: usize| seed * 1000 + vehicle as u64;
     let mapping = (0..contributors)
         .into_par_iter()
         .map(|vehicle| drive(city, 0, &Route::survey(city, number(vehicle)), number(vehicle)))
         .collect::<anyhow::Result<_>>()?;
     let localized = drive(city, DAYS_LATER, &Route::survey(city, number(0)), number(999))?;
-    Ok(Drives { mapping, localized })
+    Ok(Drives { place, name: format!("{place} {seed}"), mapping, localized })
 }
 
 fn drive(city: &City, day: u32, route: &Route, seed: u64) -> anyhow::Result<Drive> {

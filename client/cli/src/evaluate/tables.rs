@@ -2,19 +2,19 @@
 
 use std::fmt::Write as _;
 
+use super::cells::{
+    ALONG, CROSS, FLOOR, HEADING, HORIZONTAL, NET, OFFSET, OFFSET_HEADING, Quantity, bounds, cell, cluster,
+    figures, percent, short,
+};
 use super::record::Record;
-use super::statistics::bootstrap::{Estimate, percentiles, share};
-use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, Calibration, calibration};
+use super::statistics::bootstrap::Estimate;
+use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, calibration};
 
-/// Shares of the epochs that a percentile is given for.
-const SHARES: [f64; 3] = [0.5, 0.95, 0.99];
+/// The alert limit the paper speaks of, metres.
+pub const ALERT_M: f64 = 0.5;
 
-/// What is independent: (world, block of time).
-type Cluster<'a> = (&'a str, usize);
-
-fn cluster(row: &Record) -> Cluster<'_> {
-    (&row.world, row.block)
-}
+/// Groups of rows with a name each: the lines of a table.
+pub type Groups<'a> = Vec<(String, Vec<&'a Record>)>;
 
 /// Rows of one method, in the order they came.
 pub fn of_method<'a>(rows: &[&'a Record], method: &str) -> Vec<&'a Record> {
@@ -32,136 +32,215 @@ pub fn methods(rows: &[&Record]) -> Vec<&'static str> {
     names
 }
 
-/// A quantity of a row, for percentiles.
-type Quantity = fn(&Record) -> Option<f64>;
-
-/// Percentiles of a quantity, with their intervals.
-fn figures(rows: &[&Record], quantity: Quantity) -> Vec<Estimate> {
-    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &SHARES)
-}
-
-/// `50 / 95 / 99` percentiles with the interval of the 95 %.
-fn cell(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
-    match figures(rows, quantity).as_slice() {
-        [p50, p95, p99] => {
-            let [p50, low, high, p95, p99] =
-                [p50.value, p95.low, p95.high, p95.value, p99.value].map(|v| scale * v);
-            format!("{p50:.digits$} / **{p95:.digits$}** ({low:.digits$} - {high:.digits$}) / {p99:.digits$}")
-        }
-        _ => "-".to_owned(),
-    }
-}
-
-const HORIZONTAL: Quantity = |row| Some(row.error_m());
-const ALONG: Quantity = |row| Some(row.along_m.abs());
-const CROSS: Quantity = |row| Some(row.cross_m.abs());
-const HEADING: Quantity = |row| Some(row.yaw_deg.abs());
-const FLOOR: Quantity = |row| row.floor_m;
-const NET: Quantity = |row| row.net_m;
-const OFFSET: Quantity = |row| Some(row.offset_m);
-const OFFSET_HEADING: Quantity = |row| Some(row.offset_deg);
-
-/// A share in percent with its interval.
-pub fn percent(estimate: Option<Estimate>) -> String {
-    estimate.map_or_else(
-        || "-".to_owned(),
-        |Estimate { value, low, high }| {
-            format!("{:.1} % ({:.1} - {:.1})", 100.0 * value, 100.0 * low, 100.0 * high)
-        },
-    )
-}
-
-fn wrong(rows: &[&Record]) -> String {
-    percent(share(rows.iter().map(|row| (row.wrong(), cluster(row)))))
-}
-
 fn usable<'a>(rows: &[&'a Record]) -> Vec<&'a Record> {
     rows.iter().copied().filter(|row| row.usable).collect()
 }
 
-/// Groups of rows with a name each: the lines of a table.
-pub type Groups<'a> = Vec<(String, Vec<&'a Record>)>;
-
-/// Errors of each group.
-pub fn errors(groups: &Groups<'_>) -> String {
-    let mut table = String::from(
-        "| | fixes | horizontal, cm | along, cm | across, cm | heading, deg | wrong by > 1 m | map's own error, cm |\n|---|---|---|---|---|---|---|---|\n",
-    );
+/// A table with a first column of names.
+fn table(groups: &Groups<'_>, columns: &[&str], line: impl Fn(&[&Record]) -> Option<Vec<String>>) -> String {
+    let mut table = format!("| | {} |\n|{}\n", columns.join(" | "), "---|".repeat(columns.len() + 1));
     for (name, rows) in groups {
-        let [horizontal, along, cross, floor] =
-            [HORIZONTAL, ALONG, CROSS, FLOOR].map(|quantity| cell(rows, quantity, 100.0, 0));
-        let (heading, wrong, count) = (cell(rows, HEADING, 1.0, 2), wrong(rows), rows.len());
-        let _ = writeln!(
-            table,
-            "| {name} | {count} | {horizontal} | {along} | {cross} | {heading} | {wrong} | {floor} |"
-        );
-    }
-    table
-}
-
-/// Errors of the trajectory's offset (the paper's, with drift) beside those of the newest pose.
-pub fn drifted(groups: &Groups<'_>) -> String {
-    let mut table = String::from(
-        "| | fixes | offset, cm | offset's heading, deg | newest pose, cm | its heading, deg | wrong by > 1 m |\n|---|---|---|---|---|---|---|\n",
-    );
-    for (name, rows) in groups {
-        let [offset, horizontal] = [OFFSET, HORIZONTAL].map(|quantity| cell(rows, quantity, 100.0, 0));
-        let [turn, heading] = [OFFSET_HEADING, HEADING].map(|quantity| cell(rows, quantity, 1.0, 2));
-        let (count, wrong) = (rows.len(), wrong(rows));
-        let _ = writeln!(table, "| {name} | {count} | {offset} | {turn} | {horizontal} | {heading} | {wrong} |");
-    }
-    table
-}
-
-/// What the methods say of themselves, beside what is true.
-pub fn integrity(groups: &Groups<'_>) -> String {
-    let mut table = String::from(
-        "| | usable | wrong by > 1 m, all | of the usable | usable: horizontal, cm | usable: heading, deg | beyond protection | without the map's error, cm |\n|---|---|---|---|---|---|---|---|\n",
-    );
-    for (name, rows) in groups {
-        let good = usable(rows);
-        let available = percent(share(rows.iter().map(|row| (row.usable, cluster(row)))));
-        let leveled = good.iter().filter(|row| row.protection_m().is_some());
-        let beyond = percent(share(leveled.map(|row| (row.beyond_protection(), cluster(row)))));
-        let [horizontal, net] = [(&good, HORIZONTAL), (rows, NET)].map(|(rows, q)| cell(rows, q, 100.0, 0));
-        let (heading, all, of_usable) = (cell(&good, HEADING, 1.0, 2), wrong(rows), wrong(&good));
-        let _ = writeln!(
-            table,
-            "| {name} | {available} | {all} | {of_usable} | {horizontal} | {heading} | {beyond} | {net} |"
-        );
-    }
-    table
-}
-
-/// Normalised errors of the methods that give a covariance, usable fixes only.
-pub fn covariance(groups: &Groups<'_>) -> String {
-    let mut table = String::from(
-        "| | NEES of the position / 2 | inside its 95 % ellipse | NEES with heading / 3 | inside its 95 % ellipsoid |\n|---|---|---|---|---|\n",
-    );
-    for (name, rows) in groups {
-        let good = usable(rows);
-        let of = |nees: Quantity| -> Vec<_> {
-            good.iter().filter_map(|row| Some((nees(row)?, cluster(row)))).collect()
-        };
-        let two = calibration(&of(|row| row.nees_2), 2.0, CHI2_95_2);
-        let three = calibration(&of(|row| row.nees_3), 3.0, CHI2_95_3);
-        if let (Some(two), Some(three)) = (two, three) {
-            let show = |Calibration { mean: Estimate { value, low, high }, inside }| {
-                format!("{value:.2} ({low:.2} - {high:.2}) | {}", percent(Some(inside)))
-            };
-            let _ = writeln!(table, "| {name} | {} | {} |", show(two), show(three));
+        if let Some(cells) = line(rows) {
+            let _ = writeln!(table, "| {name} | {} |", cells.join(" | "));
         }
     }
     table
 }
 
-/// Cells of the batches, median, and milliseconds of a fix.
+/// Errors of each group.
+pub fn errors(groups: &Groups<'_>) -> String {
+    let columns = [
+        "fixes",
+        "horizontal, cm",
+        "along, cm",
+        "across, cm",
+        "heading, deg",
+        "off by > 50 cm",
+        "wrong by > 1 m",
+        "map's own error, cm",
+    ];
+    table(groups, &columns, |rows| {
+        Some(vec![
+            rows.len().to_string(),
+            cell(rows, HORIZONTAL, 100.0, 0),
+            cell(rows, ALONG, 100.0, 0),
+            cell(rows, CROSS, 100.0, 0),
+            cell(rows, HEADING, 1.0, 2),
+            percent(rows, |row| row.error_m() > ALERT_M),
+            percent(rows, Record::wrong),
+            cell(rows, FLOOR, 100.0, 0),
+        ])
+    })
+}
+
+/// Errors and usability of each group, in a line.
+pub fn sweep(groups: &Groups<'_>) -> String {
+    let columns = [
+        "horizontal, cm",
+        "along, cm",
+        "across, cm",
+        "heading, deg",
+        "off by > 50 cm",
+        "wrong by > 1 m",
+        "usable",
+        "wrong, of the usable",
+        "map's own error, cm",
+    ];
+    table(groups, &columns, |rows| {
+        Some(vec![
+            cell(rows, HORIZONTAL, 100.0, 0),
+            short(rows, ALONG, 100.0, 0),
+            short(rows, CROSS, 100.0, 0),
+            cell(rows, HEADING, 1.0, 2),
+            percent(rows, |row| row.error_m() > ALERT_M),
+            percent(rows, Record::wrong),
+            percent(rows, |row| row.usable),
+            percent(&usable(rows), Record::wrong),
+            short(rows, FLOOR, 100.0, 0),
+        ])
+    })
+}
+
+/// Errors of the trajectory's offset (the paper's, with drift) beside those of the newest pose.
+pub fn drifted(groups: &Groups<'_>) -> String {
+    let columns = [
+        "offset, cm",
+        "offset's heading, deg",
+        "newest pose, cm",
+        "along, cm",
+        "across, cm",
+        "its heading, deg",
+        "wrong by > 1 m",
+        "usable",
+        "wrong, of the usable",
+    ];
+    table(groups, &columns, |rows| {
+        Some(vec![
+            cell(rows, OFFSET, 100.0, 0),
+            cell(rows, OFFSET_HEADING, 1.0, 2),
+            cell(rows, HORIZONTAL, 100.0, 0),
+            short(rows, ALONG, 100.0, 0),
+            short(rows, CROSS, 100.0, 0),
+            short(rows, HEADING, 1.0, 2),
+            percent(rows, Record::wrong),
+            percent(rows, |row| row.usable),
+            percent(&usable(rows), Record::wrong),
+        ])
+    })
+}
+
+/// What the methods say of themselves, beside what is true.
+pub fn integrity(groups: &Groups<'_>) -> String {
+    let columns = [
+        "usable",
+        "wrong by > 1 m, all",
+        "of the usable",
+        "usable: horizontal, cm",
+        "usable: heading, deg",
+        "usable: beyond protection",
+        "usable: protection level, cm",
+        "all, without the map's error, cm",
+    ];
+    table(groups, &columns, |rows| {
+        let good = usable(rows);
+        let leveled: Vec<_> = good.iter().copied().filter(|row| row.protection_m().is_some()).collect();
+        Some(vec![
+            percent(rows, |row| row.usable),
+            percent(rows, Record::wrong),
+            percent(&good, Record::wrong),
+            cell(&good, HORIZONTAL, 100.0, 0),
+            cell(&good, HEADING, 1.0, 2),
+            percent(&leveled, Record::beyond_protection),
+            short(&leveled, Record::protection_m, 100.0, 0),
+            cell(rows, NET, 100.0, 0),
+        ])
+    })
+}
+
+/// Normalised errors of the methods that give a covariance, usable fixes only.
+pub fn covariance(groups: &Groups<'_>) -> String {
+    let columns = [
+        "NEES of the position / 2",
+        "inside its 95 % ellipse",
+        "NEES with heading / 3",
+        "inside its 95 % ellipsoid",
+    ];
+    table(groups, &columns, |rows| {
+        let good = usable(rows);
+        let mut cells = Vec::new();
+        for (nees, freedom, chi2_95) in
+            [((|row| row.nees_2) as Quantity, 2.0, CHI2_95_2), (|row| row.nees_3, 3.0, CHI2_95_3)]
+        {
+            let sample: Vec<_> = good.iter().filter_map(|row| Some((nees(row)?, cluster(row)))).collect();
+            let found = calibration(&sample, freedom, chi2_95)?;
+            let show = |e: &Estimate, scale, digits| format!("{:.digits$}", scale * e.value);
+            cells.push(format!("{}{}", show(&found.mean, 1.0, 2), bounds(&found.mean, 1.0, 2)));
+            cells.push(format!("{} %{}", show(&found.inside, 100.0, 1), bounds(&found.inside, 100.0, 1)));
+        }
+        Some(cells)
+    })
+}
+
+/// What becomes of answers where places are easily mistaken.
+pub fn ambiguity(groups: &Groups<'_>) -> String {
+    let columns = [
+        "fixes",
+        "wrong by > 1 m",
+        "usable",
+        "wrong, of the usable",
+        "relative score of the alternative, median",
+    ];
+    table(groups, &columns, |rows| {
+        let second = figures(rows, |row| Some(row.second));
+        Some(vec![
+            rows.len().to_string(),
+            percent(rows, Record::wrong),
+            percent(rows, |row| row.usable),
+            percent(&usable(rows), Record::wrong),
+            second.first().map_or_else(|| "-".to_owned(), |median| format!("{:.2}", median.value)),
+        ])
+    })
+}
+
+/// Cells of the batches, and milliseconds of a fix.
 pub fn costs(groups: &Groups<'_>) -> String {
-    let mut table = String::from("| | cells of a batch | ms a fix |\n|---|---|---|\n");
-    for (name, rows) in groups {
-        let cells = cell(rows, |row| Some(row.cells as f64), 1.0, 0);
-        let ms = cell(rows, |row| Some(row.ms), 1.0, 0);
-        let _ = writeln!(table, "| {name} | {cells} | {ms} |");
+    table(groups, &["cells of a batch", "ms a fix"], |rows| {
+        Some(vec![short(rows, |row| Some(row.cells as f64), 1.0, 0), short(rows, |row| Some(row.ms), 1.0, 0)])
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_table_has_a_line_a_group_and_a_cell_a_column() {
+        let row = |k: usize| Record {
+            world: "w".to_owned(),
+            block: k,
+            method: if k.is_multiple_of(2) { "a" } else { "b" },
+            along_m: 0.1,
+            usable: !k.is_multiple_of(3),
+            nees_2: Some(2.0),
+            nees_3: Some(3.0),
+            protection_along_m: Some(0.3),
+            protection_cross_m: Some(0.4),
+            ..Record::default()
+        };
+        let rows: Vec<Record> = (0..60).map(row).collect();
+        let rows: Vec<_> = rows.iter().collect();
+        assert_eq!(methods(&rows), ["a", "b"]);
+        let groups: Groups<'_> = ["a", "b"].map(|name| (name.to_owned(), of_method(&rows, name))).into();
+        for shown in
+            [errors, sweep, drifted, integrity, covariance, ambiguity, costs].map(|table| table(&groups))
+        {
+            let lines: Vec<_> = shown.lines().collect();
+            assert_eq!(lines.len(), 4, "{shown}");
+            let bars = |line: &str| line.matches('|').count();
+            assert!(lines.iter().all(|line| bars(line) == bars(lines[0])), "{shown}");
+            assert!(!shown.contains("NaN"), "{shown}");
+        }
+        assert!(integrity(&groups).contains("50 / **50** / 50"));
+        assert!(covariance(&groups).contains("| a | 1.00 (1.00 - 1.00) | 100.0 % "));
     }
-    table
 }

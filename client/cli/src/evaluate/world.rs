@@ -15,7 +15,9 @@ use super::map::{MapKey, Movers, RadarMap, on_grid};
 pub struct World {
     /// Its number.
     pub index: usize,
-    /// Its name in tables: the seed, or the log.
+    /// What kind of place it is.
+    pub place: &'static str,
+    /// Its name, with the seed or the log's.
     pub name: String,
     /// The drive that is localized.
     pub drive: Drive,
@@ -32,6 +34,10 @@ pub struct World {
 
 /// Drives before they become a world.
 pub struct Drives {
+    /// What kind of place they are in.
+    pub place: &'static str,
+    /// Its name.
+    pub name: String,
     /// Those that map, by the order in which they join the map.
     pub mapping: Vec<Drive>,
     /// The one that is localized.
@@ -43,14 +49,8 @@ impl World {
     ///
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
-    pub fn new(
-        index: usize,
-        name: String,
-        drives: Drives,
-        crowds: &[usize],
-        max_sigma_m: f64,
-    ) -> anyhow::Result<Self> {
-        let Drives { mapping, localized: drive } = drives;
+    pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
+        let Drives { place, name, mapping, localized: drive } = drives;
         let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
         let first = poses
             .first()
@@ -67,6 +67,7 @@ impl World {
         let maps = both.into_iter().flatten().map(|map| ((map.key.contributors, map.key.movers), map));
         Ok(Self {
             index,
+            place,
             name,
             odometry: drive.odometry.clone(),
             truth,

@@ -11,7 +11,11 @@ use serde::Serialize;
 const DRAWS: usize = 1000;
 const SEED: u64 = 1;
 
-/// A figure and the interval that holds it with 95 % confidence.
+/// Fewer clusters than this tell nothing of how far a figure may be off.
+const LEAST_CLUSTERS: usize = 5;
+
+/// A figure and the interval that holds it with 95 % confidence, which is NaN when there are too few
+/// clusters to tell.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
     /// Of the sample.
@@ -58,13 +62,12 @@ pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, shares: &
             all.push(value);
         }
     }
-    values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn)).collect()
+    values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn, clusters)).collect()
 }
 
 /// The share of (hit, cluster) pairs that are hits; `None` of nothing.
 pub fn share<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
-    let mean = mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))?;
-    Some(mean)
+    mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))
 }
 
 /// The mean of (value, cluster) pairs; `None` of nothing.
@@ -84,8 +87,8 @@ pub fn mean<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> Option<Estima
         sum / count
     };
     let mut draws = Draws::of(clusters);
-    (clusters > 0)
-        .then(|| estimate(of(&vec![1; clusters]), (0..DRAWS).map(|_| of(draws.next())).collect()))
+    let mut drawn = || (0..DRAWS).map(|_| of(draws.next())).collect();
+    (clusters > 0).then(|| estimate(of(&vec![1; clusters]), drawn(), clusters))
 }
 
 /// Values in order, each with the number of its cluster, and how many clusters there are.
@@ -116,7 +119,10 @@ fn at_shares(sorted: &[(f64, usize)], weights: &[u32], shares: &[f64]) -> Vec<f6
     values
 }
 
-fn estimate(value: f64, mut drawn: Vec<f64>) -> Estimate {
+fn estimate(value: f64, mut drawn: Vec<f64>, clusters: usize) -> Estimate {
+    if clusters < LEAST_CLUSTERS {
+        return Estimate { value, low: f64::NAN, high: f64::NAN };
+    }
     drawn.sort_by(f64::total_cmp);
     let at = |share: f64| drawn[((share * drawn.len() as f64) as usize).min(drawn.len() - 1)];
     Estimate { value, low: at(0.025), high: at(0.975) }
@@ -143,6 +149,12 @@ mod tests {
         assert!((few.value - 0.5).abs() < 1e-12 && few == many);
         // Two standard errors of 0.05 to either side.
         assert!((few.high - few.low - 0.196).abs() < 0.03, "{few:?}");
+    }
+
+    #[test]
+    fn few_clusters_give_no_interval() {
+        let found = mean((0..400).map(|k| (f64::from(k), k % 4))).unwrap();
+        assert!((found.value - 199.5).abs() < 1e-9 && found.low.is_nan() && found.high.is_nan());
     }
 
     #[test]

@@ -1,0 +1,120 @@
+//! Cells of the report's tables: figures with their intervals.
+
+use std::collections::BTreeSet;
+
+use super::record::Record;
+use super::statistics::bootstrap::{Estimate, percentiles, share};
+
+/// Shares of the epochs that a percentile is given for.
+const SHARES: [f64; 3] = [0.5, 0.95, 0.99];
+/// Batches this far apart share no scan, microseconds.
+const APART_US: i64 = 5_000_000;
+
+/// A quantity of a row.
+pub type Quantity = fn(&Record) -> Option<f64>;
+
+/// Horizontal error, metres.
+pub const HORIZONTAL: Quantity = |row| Some(row.error_m());
+/// Error along the heading, metres.
+pub const ALONG: Quantity = |row| Some(row.along_m.abs());
+/// Error across it, metres.
+pub const CROSS: Quantity = |row| Some(row.cross_m.abs());
+/// Error of the heading, degrees.
+pub const HEADING: Quantity = |row| Some(row.yaw_deg.abs());
+/// The map's own error, metres.
+pub const FLOOR: Quantity = |row| row.floor_m;
+/// Horizontal error without the map's, metres.
+pub const NET: Quantity = |row| row.net_m;
+/// Error of the drifted trajectory's offset, metres.
+pub const OFFSET: Quantity = |row| Some(row.offset_m);
+/// Of its heading, degrees.
+pub const OFFSET_HEADING: Quantity = |row| Some(row.offset_deg);
+
+/// What is independent: (world, block of time).
+pub fn cluster(row: &Record) -> (&str, usize) {
+    (&row.world, row.block)
+}
+
+/// Median, 95 % and 99 %; empty of nothing.
+pub fn figures(rows: &[&Record], quantity: Quantity) -> Vec<Estimate> {
+    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &SHARES)
+}
+
+/// `50 / 95 / 99` percentiles, the 95 % with its interval.
+pub fn cell(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
+    match figures(rows, quantity).as_slice() {
+        [p50, p95, p99] => {
+            let bounds = bounds(p95, scale, digits);
+            let [p50, p95, p99] = [p50, p95, p99].map(|p| scale * p.value);
+            format!("{p50:.digits$} / **{p95:.digits$}**{bounds} / {p99:.digits$}")
+        }
+        _ => "-".to_owned(),
+    }
+}
+
+/// The same without the interval.
+pub fn short(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
+    match figures(rows, quantity).as_slice() {
+        [p50, p95, p99] => {
+            let [p50, p95, p99] = [p50, p95, p99].map(|p| scale * p.value);
+            format!("{p50:.digits$} / **{p95:.digits$}** / {p99:.digits$}")
+        }
+        _ => "-".to_owned(),
+    }
+}
+
+/// An interval in brackets after a blank; nothing where it is not known.
+pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
+    let [low, high] = [estimate.low, estimate.high].map(|v| scale * v);
+    if low.is_nan() { String::new() } else { format!(" ({low:.digits$} - {high:.digits$})") }
+}
+
+/// The share of the rows that are hits, in percent with its interval.
+///
+/// Where no row is one, the upper bound is the rule of three over the batches that share no scan.
+pub fn percent(rows: &[&Record], hit: impl Fn(&Record) -> bool) -> String {
+    let Some(mut found) = share(rows.iter().map(|row| (hit(row), cluster(row)))) else {
+        return "-".to_owned();
+    };
+    if found.value == 0.0 {
+        let apart: BTreeSet<_> = rows.iter().map(|row| (&row.world, row.time_us / APART_US)).collect();
+        (found.low, found.high) = (0.0, (3.0 / apart.len() as f64).min(1.0));
+    }
+    format!("{:.1} %{}", 100.0 * found.value, bounds(&found, 100.0, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows() -> Vec<Record> {
+        let row = |k: usize| Record {
+            world: "w".to_owned(),
+            block: k / 10,
+            time_us: k as i64 * 1_000_000,
+            along_m: k as f64 * 0.01,
+            ..Record::default()
+        };
+        (1..=100).map(row).collect()
+    }
+
+    #[test]
+    fn cells_give_percentiles_in_the_unit_asked_for() {
+        let rows = rows();
+        let rows: Vec<_> = rows.iter().collect();
+        assert_eq!(short(&rows, ALONG, 100.0, 0), "50 / **95** / 99");
+        assert!(cell(&rows, ALONG, 100.0, 0).starts_with("50 / **95** ("));
+        assert_eq!((cell(&rows, FLOOR, 1.0, 0), short(&[], ALONG, 1.0, 0)), ("-".to_owned(), "-".to_owned()));
+        assert!(cell(&rows[..5], ALONG, 1.0, 2).starts_with("0.03 / **0.05** / "));
+    }
+
+    #[test]
+    fn what_never_happened_may_still_happen() {
+        let rows = rows();
+        let rows: Vec<_> = rows.iter().collect();
+        // 100 s hold 21 batches that share no scan (the first and the last one are cut).
+        assert_eq!(percent(&rows, |_| false), "0.0 % (0.0 - 14.3)");
+        assert!(percent(&rows, |row| row.along_m > 0.5).starts_with("50.0 % ("));
+        assert_eq!(percent(&[], |_| true), "-");
+    }
+}

@@ -1,0 +1,202 @@
+//! The report, experiment by experiment: words, tables and figures.
+
+use std::path::Path;
+
+use super::condition::{Condition, Experiment};
+use super::method::RISK;
+use super::plots::{self, Curve, Panel};
+use super::record::Record;
+use super::statistics::ccdf::ccdf;
+use super::statistics::roc::roc;
+use super::tables::{self, ALERT_M, Groups, methods, of_method};
+
+/// A part of the report.
+pub struct Section {
+    /// Which experiment.
+    pub experiment: Experiment,
+    /// What is shown.
+    pub text: String,
+    /// File name and figure.
+    figures: Vec<(&'static str, Figure)>,
+}
+
+enum Figure {
+    Ccdfs(Vec<Panel>),
+    Rocs(String, Vec<Curve>),
+    Stanford(String, Vec<(f64, f64)>),
+}
+
+impl Section {
+    /// The section of an experiment; `base` is the headline's condition.
+    pub fn of(experiment: Experiment, rows: &[Record], base: Condition, crowds: &[usize]) -> Self {
+        match experiment {
+            Experiment::Headline => headline(rows, base),
+            Experiment::Ambiguity => ambiguity(rows, base),
+            _ => swept(experiment, rows, &experiment.conditions(base, crowds)),
+        }
+    }
+
+    /// Writes the figures.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn draw(&self, folder: &Path) -> anyhow::Result<()> {
+        for (file, figure) in &self.figures {
+            let path = folder.join(file);
+            match figure {
+                Figure::Ccdfs(panels) => plots::ccdfs(&path, panels)?,
+                Figure::Rocs(title, curves) => plots::rocs(&path, title, curves)?,
+                Figure::Stanford(title, pairs) => plots::stanford(&path, title, pairs, ALERT_M)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Rows of a condition: of the town or log, not of the scenes.
+fn under<'a>(rows: &'a [Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
+    let streets = super::simulated::is_scene;
+    rows.iter().filter(|r| !streets(r.place) && r.condition == *condition && (!swept || r.swept)).collect()
+}
+
+fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {
+    methods(rows).into_iter().map(|name| (name.to_owned(), of_method(rows, name))).collect()
+}
+
+fn image(title: &str, file: &str) -> String {
+    format!("![{title}](docs/evaluation/{file})\n")
+}
+
+fn headline(rows: &[Record], base: Condition) -> Section {
+    let rows = under(rows, &base, false);
+    let groups = by_method(&rows);
+    let text = [
+        "### Five-second batches\n\nThe paper prints 44 cm and 0.59 deg at 95 %. Its method never says no, so all of its fixes count as usable.\n",
+        &tables::errors(&groups),
+        &tables::integrity(&groups),
+        &tables::covariance(&groups),
+        &tables::costs(&groups),
+        &image("How often an error is exceeded", "ccdf-headline.svg"),
+        &format!("Horizontal errors against protection levels (risk {RISK}), usable fixes; below the diagonal a level is exceeded:\n"),
+        &image("Stanford diagram", "stanford.svg"),
+    ]
+    .join("\n");
+    let pairs = rows.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
+    let figures = vec![
+        ("ccdf-headline.svg", Figure::Ccdfs(panels("", &groups))),
+        ("stanford.svg", Figure::Stanford("Errors and protection levels".to_owned(), pairs.collect())),
+    ];
+    Section { experiment: Experiment::Headline, text, figures }
+}
+
+fn swept(experiment: Experiment, rows: &[Record], conditions: &[Condition]) -> Section {
+    let (title, words, file) = match experiment {
+        Experiment::Batch => (
+            "Batch length",
+            "The paper: the medians are alike, and batches shorter than 4 s miss an alert limit of 50 cm at a risk of 0.05 a batch.\n",
+            "ccdf-batch.svg",
+        ),
+        Experiment::Drift => (
+            "Drift of the odometry",
+            "The standard deviation at the end of 5 s. The offset is the paper's quantity: that of the drifted trajectory as a whole, which starts without error; the newest pose is what a vehicle uses, and has the drift's own error in it. The paper prints 67 cm and 1.17 deg at 95 % for the quadratic drift of 40 cm and 1 deg.\n",
+            "ccdf-drift.svg",
+        ),
+        _ => (
+            "A crowd",
+            "Maps of more contributors, who took other ways at other times of the same day. The map's own error shrinks as their poses average.\n",
+            "ccdf-crowd.svg",
+        ),
+    };
+    let all: Vec<_> = conditions.iter().flat_map(|condition| under(rows, condition, true)).collect();
+    let mut groups = Groups::new();
+    let mut all_panels = Vec::new();
+    for method in methods(&all) {
+        let of = |condition: &Condition| {
+            (condition.name(experiment), of_method(&under(rows, condition, true), method))
+        };
+        let lines: Groups<'_> = conditions.iter().map(of).collect();
+        all_panels.extend(panels(&format!("{method}: "), &lines));
+        groups.extend(lines.into_iter().map(|(name, rows)| (format!("{method}, {name}"), rows)));
+    }
+    let table = match experiment {
+        Experiment::Drift => tables::drifted(&groups),
+        _ => tables::sweep(&groups),
+    };
+    let count = groups.first().map_or(0, |(_, rows)| rows.len());
+    let head = format!("### {title}\n\n{words}\n{count} fixes a line.\n");
+    let text = [&head, &table, &image(title, file)].map(String::as_str).join("\n");
+    Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))] }
+}
+
+/// Horizontal and heading errors of groups, a colour each.
+fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
+    let curves = |error: fn(&Record) -> f64| -> Vec<Curve> {
+        let curve = |(colour, (name, rows)): (usize, &(String, Vec<&Record>))| Curve {
+            name: name.clone(),
+            colour,
+            points: ccdf(rows.iter().map(|row| error(row))),
+        };
+        groups.iter().enumerate().map(curve).collect()
+    };
+    vec![
+        Panel {
+            title: format!("{prefix}horizontal position"),
+            x: "error, m",
+            x_max: 1.5,
+            curves: curves(Record::error_m),
+        },
+        Panel {
+            title: format!("{prefix}heading"),
+            x: "error, deg",
+            x_max: 3.0,
+            curves: curves(|row| row.yaw_deg.abs()),
+        },
+    ]
+}
+
+fn ambiguity(rows: &[Record], base: Condition) -> Section {
+    let all: Vec<&Record> = rows.iter().filter(|r| r.condition == base).collect();
+    let mut groups = Groups::new();
+    for (method, rows) in by_method(&all) {
+        let mut places: Vec<&str> = rows.iter().map(|r| r.place).collect();
+        places.sort_unstable();
+        places.dedup();
+        for place in places {
+            let here = rows.iter().copied().filter(|r| r.place == place).collect();
+            groups.push((format!("{method}, {place}"), here));
+        }
+    }
+    let curves: Vec<(Curve, String)> = by_method(&all)
+        .into_iter()
+        .enumerate()
+        .filter_map(|(k, (name, rows))| detector(k, &name, &rows))
+        .collect();
+    let words = "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the relative score of the best alternative tell answers that are wrong by more than a metre?\n";
+    let mut text = [words, &tables::ambiguity(&groups)].join("\n");
+    for (_, line) in &curves {
+        text.push_str(line);
+    }
+    text.push('\n');
+    text.push_str(&image("Receiver operating characteristic", "roc-ambiguity.svg"));
+    let curves = curves.into_iter().map(|(curve, _)| curve).collect();
+    let title = "Refusing ambiguous answers".to_owned();
+    Section {
+        experiment: Experiment::Ambiguity,
+        text,
+        figures: vec![("roc-ambiguity.svg", Figure::Rocs(title, curves))],
+    }
+}
+
+/// How a method's relative scores tell wrong answers, as a curve and in a line of words.
+fn detector(colour: usize, name: &str, rows: &[&Record]) -> Option<(Curve, String)> {
+    let found = roc(rows.iter().map(|row| (row.second, row.wrong())))?;
+    let line = format!(
+        "\n{name}: area under the curve {:.3} ({} wrong, {} right); refusing 5 % of the right answers finds {:.0} % of the wrong ones, refusing 20 % finds {:.0} %.\n",
+        found.area,
+        found.wrong,
+        found.right,
+        100.0 * found.detected_at(0.05),
+        100.0 * found.detected_at(0.2),
+    );
+    Some((Curve { name: name.to_owned(), colour, points: found.points }, line))
+}
