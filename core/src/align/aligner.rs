@@ -74,7 +74,7 @@ impl Aligner {
         self.summits.sort_by(|a, b| b.score.total_cmp(&a.score));
         let rigid = self.summits.first().copied();
         self.flexible.take(batch, search, BLOCK_M);
-        let answer = rigid.map(|summit| self.flexible.climb(&field, prior, &summit, &search.drift));
+        let answer = rigid.map(|summit| self.flexible.climb(&field.sharpened(), prior, &summit, &search.drift));
         let case = Case {
             question: &question,
             field: &field,

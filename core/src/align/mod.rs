@@ -138,6 +138,8 @@ pub struct Alignment {
     pub score: f64,
     /// The answer's mean log weight relative to that of a random shift.
     pub contrast: f64,
+    /// Log-likelihood by which the answer exceeds the best pose elsewhere, nats.
+    pub margin: f64,
     /// Detections that were used.
     pub points_used: usize,
     /// Blocks that the batch was thinned to.

@@ -27,6 +27,8 @@ pub struct Field<'a> {
     side: usize,
     /// Map metres of the image's south-west corner.
     origin: [f64; 2],
+    /// A weight w counts as `w * (curve[0] + curve[1] * w)`.
+    curve: [f32; 2],
 }
 
 impl<'a> Field<'a> {
@@ -34,7 +36,13 @@ impl<'a> Field<'a> {
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
         let frame = view.frame();
-        Self { image: view.fine().image, side: frame.side, origin: frame.to_metres([0.0, 0.0]) }
+        Self { image: view.fine().image, side: frame.side, origin: frame.to_metres([0.0, 0.0]), curve: [1.0, 0.0] }
+    }
+
+    /// The same map with its weights squared: where clutter counts for little, for the last centimetres.
+    #[must_use]
+    pub fn sharpened(&self) -> Self {
+        Self { curve: [0.0, SHARPNESS / STEPS], ..*self }
     }
 
     /// Scores points (ground metres in a body's frame, and what each counts for) seen by a body at `pose` (map metres); `scale`
@@ -137,12 +145,15 @@ impl Kernel for Sums<'_> {
     fn run(self) -> [f32; TERMS] {
         let mut sums = [[0.0_f32; LANES]; TERMS];
         for block in self.points.chunks(LANES) {
-            self.field.patches(block, self.from, self.turn).add_terms(&mut sums);
+            self.field.patches(block, self.from, self.turn).add_terms(self.field.curve, &mut sums);
         }
         sums.map(|lanes| lanes.iter().sum())
     }
 }
 
+/// A squared weight counts for this much: `0.11 log(1 + s / k)^2` is close to `log(1 + s / 10 k)` over the
+/// weights that occur.
+const SHARPNESS: f32 = 0.11;
 /// Points that are scored side by side.
 const LANES: usize = 16;
 /// Weight, its slopes over (x, y, turn), its curvatures over (xx, xy, yy, x-turn, y-turn, turn-turn).
@@ -165,10 +176,14 @@ struct Patches {
 
 impl Patches {
     #[inline(always)]
-    fn add_terms(&self, sums: &mut [[f32; LANES]; TERMS]) {
+    fn add_terms(&self, [plain, square]: [f32; 2], sums: &mut [[f32; LANES]; TERMS]) {
         for i in 0..LANES {
             let ((bx, dx), (by, dy)) = (spline(self.fx[i]), spline(self.fy[i]));
-            let column = |shift: u32| [0, 1, 2].map(|row: usize| ((self.taps[row][i] >> shift) & 255) as f32);
+            let tap = |row: usize, shift: u32| {
+                let weight = ((self.taps[row][i] >> shift) & 255) as f32;
+                weight * (plain + square * weight)
+            };
+            let column = |shift: u32| [0, 1, 2].map(|row: usize| tap(row, shift));
             let columns = [column(0), column(8), column(16)];
             let blend = |b: &[f32; 3], v: [f32; 3]| b[0] * v[0] + b[1] * v[1] + b[2] * v[2];
             let value = columns.map(|c| blend(&by, c));

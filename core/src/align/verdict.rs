@@ -26,11 +26,13 @@ pub struct Integrity {
     pub matched_within_m: f64,
     /// Score of the answer, relative to that of a random pose, below which it is no better than one.
     pub min_contrast: f64,
-    /// Relative score up to which a second pose is tolerated.
-    pub max_alternative: f64,
+    /// Log-likelihood, in nats, by which the answer must exceed a second pose.
+    pub min_margin: f64,
     /// Largest sigma of the answer along any direction, metres, that still tells a place.
     pub max_sigma_m: f64,
-    /// Independent returns count for this many points of a thinned batch.
+    /// Independent returns count for this many points of a thinned batch, where hills are compared.
+    pub score_temperature: f64,
+    /// The same for the summit's curvature, on squared weights.
     pub temperature: f64,
     /// Error of the poses that one pass was mapped from: one sigma along each axis, metres. The
     /// passes of a crowd average it out.
@@ -51,9 +53,10 @@ impl Default for Integrity {
             min_matched: 0.5,
             matched_within_m: 0.3,
             min_contrast: 1.3,
-            max_alternative: 0.75,
+            min_margin: 5.0,
             max_sigma_m: 0.5,
-            temperature: 15.0,
+            score_temperature: 10.0,
+            temperature: 2.0,
             map_pose_m: 0.11,
             floor_m: 0.02,
             floor_yaw_rad: 0.001,
@@ -71,6 +74,8 @@ pub enum Verdict {
     Ambiguous {
         /// Its score relative to the answer's.
         relative_score: f64,
+        /// Log-likelihood by which the answer exceeds it, nats.
+        margin: f64,
         /// True when the two lie along the vehicle's heading: the street repeats itself.
         along_track: bool,
     },
@@ -151,7 +156,9 @@ impl Case<'_> {
     /// The answer with its verdict.
     pub(super) fn judge(&self, integrity: &Integrity) -> Alignment {
         let Question { prior, thinned, batch, .. } = *self.question;
-        let Some(best) = self.answer else { return self.nothing(integrity) };
+        let (Some(best), Some(rigid)) = (self.answer, self.summits.first()) else {
+            return self.nothing(integrity);
+        };
         let pose = corrected(&prior.pose, &best.correction);
         let background = self.background();
         let (matched_fraction, coverage) = self.agreement(&pose, integrity);
@@ -160,8 +167,9 @@ impl Case<'_> {
             correction: best.correction,
             covariance: self.covariance(&best, integrity).into(),
             alternatives: self.alternatives(background),
-            score: best.score - background,
-            contrast: best.score / background.max(f64::MIN_POSITIVE),
+            score: rigid.score - background,
+            contrast: rigid.score / background.max(f64::MIN_POSITIVE),
+            margin: self.margin(integrity),
             points_used: batch.points.len(),
             thinned_points: thinned.len(),
             matched_fraction,
@@ -183,6 +191,7 @@ impl Case<'_> {
             alternatives: Vec::new(),
             score: 0.0,
             contrast: 0.0,
+            margin: 0.0,
             points_used: batch.points.len(),
             thinned_points: thinned.len(),
             matched_fraction: 0.0,
@@ -233,6 +242,15 @@ impl Case<'_> {
         (share(matched), share(covered))
     }
 
+    /// Log-likelihood by which the answer's hill exceeds the next one, nats; infinite without a next one.
+    fn margin(&self, integrity: &Integrity) -> f64 {
+        let Some((best, rest)) = self.summits.split_first() else { return 0.0 };
+        let apart = self.question.search.separation_m;
+        let next = rest.iter().find(|s| s.correction.distance_m(&best.correction) >= apart);
+        let votes = self.question.thinned.len() as f64 / integrity.score_temperature;
+        next.map_or(f64::INFINITY, |next| votes * (best.score - next.score))
+    }
+
     /// Summits that are not the answer's, by their score above the background.
     fn alternatives(&self, background: f64) -> Vec<(Pose2, f64)> {
         let Some((best, rest)) = self.summits.split_first() else { return Vec::new() };
@@ -276,8 +294,7 @@ fn corrected(prior: &Pose2, correction: &Pose2) -> Pose2 {
 fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
     let sigma_m = worst_sigma_m(&answer.covariance);
     let Alignment { thinned_points: points, coverage, matched_fraction, contrast, .. } = *answer;
-    let second = answer.alternatives.iter().max_by(|a, b| a.1.total_cmp(&b.1));
-    let rival = second.filter(|(_, score)| *score > integrity.max_alternative);
+    let rival = answer.alternatives.first().filter(|_| answer.margin < integrity.min_margin);
     if points < integrity.min_points {
         Verdict::TooLittleStructure { points, sigma_m }
     } else if coverage < integrity.min_coverage {
@@ -288,7 +305,7 @@ fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict 
         Verdict::PriorOutsideSearch
     } else if let Some((other, relative_score)) = rival {
         let along_track = lies_along(answer, other);
-        Verdict::Ambiguous { relative_score: *relative_score, along_track }
+        Verdict::Ambiguous { relative_score: *relative_score, margin: answer.margin, along_track }
     } else if sigma_m > integrity.max_sigma_m || !sigma_m.is_finite() {
         Verdict::TooLittleStructure { points, sigma_m }
     } else if matched_fraction < integrity.min_matched {
@@ -324,6 +341,7 @@ pub(super) mod tests {
             alternatives: vec![(Pose2::new(5.0, 0.0, 0.0), 0.3)],
             score: 1.0,
             contrast: 3.0,
+            margin: 20.0,
             points_used: 7000,
             thinned_points: 2000,
             matched_fraction: 0.9,
@@ -350,8 +368,9 @@ pub(super) mod tests {
         assert!(matches!(judged(|a| a.coverage = 0.1), Verdict::TooLittleMap { .. }));
         assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::MapStale { .. }));
         assert!(matches!(judged(|a| a.contrast = 1.0), Verdict::Lost { .. }));
-        assert!(matches!(judged(|a| a.alternatives[0].1 = 0.99), Verdict::Ambiguous { along_track: true, .. }));
-        let aside = judged(|a| a.alternatives[0] = (Pose2::new(0.0, 5.0, 0.0), 0.99));
+        assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
+        let aside =
+            judged(|a| (a.margin, a.alternatives[0]) = (1.0, (Pose2::new(0.0, 5.0, 0.0), 0.99)));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);

@@ -13,14 +13,15 @@ use crate::tile::Tile;
 const SIGMA_M: f64 = 0.2;
 /// Smoothed hits, for each pass that a typical hit's cell has seen, at which a weight starts to grow
 /// like a logarithm: a crowd's map holds as many times the hits of a single survey's, and as many
-/// times the clutter.
-const KNEE_PER_PASS: f64 = 0.3;
+/// times the clutter. Far below one hit: the hill of the true pose then stands out from the others;
+/// for its summit the weights are squared (see [`super::score::Field::sharpened`]).
+const KNEE_PER_PASS: f64 = 0.01;
 /// The kernel ends here, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
 /// Steps of a cell to which a kernel's centre is rounded.
 const PHASES: usize = 8;
 /// Bytes for a unit of the natural logarithm.
-pub const STEPS: f32 = 40.0;
+pub const STEPS: f32 = 28.0;
 /// Cells along the side of a coarse cell.
 pub const COARSE: usize = 4;
 
