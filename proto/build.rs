@@ -20,6 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(std::env::var("OUT_DIR")?).join("echofix.v1.bin");
     std::fs::write(out, descriptors.encode_to_vec())?;
     tonic_prost_build::configure()
+        .codec_path("crate::codec::SliceCodec")
         .extern_path(".google.rpc.Status", "::tonic_types::pb::Status")
         .compile_fds(descriptors)?;
     Ok(())

@@ -1,4 +1,11 @@
-//! Moving targets, told from stationary ones by their radial speed.
+//! What radial speeds tell.
+//!
+//! - here: moving targets, told from stationary ones.
+//! - [`ego`]: the vehicle's own velocity.
+//! - [`mod@dedrift`]: odometry, corrected by it.
+
+pub mod dedrift;
+pub mod ego;
 
 use crate::odometry::BodyVelocity;
 use crate::scan::{Mount, Scan};

@@ -9,7 +9,7 @@
 //! - [`scan`]: one radar's detections at one time, where the radar sits, which detections to keep.
 //! - [`odometry`]: the vehicle's relative trajectory, interpolated at scan times.
 //! - [`drive`]: one recorded drive, as a value.
-//! - [`doppler`]: ego-velocity from radial speeds and the rejection of movers.
+//! - [`doppler`]: movers, the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
 //! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec.

@@ -91,16 +91,16 @@ impl Trajectory {
             return None;
         }
         let after = self.time_us.partition_point(|t| *t <= time_us).clamp(1, self.len() - 1);
-        let (a, b) = (self.pose[after - 1], self.pose[after]);
         let dt_s = (self.time_us[after] - self.time_us[after - 1]) as f64 * 1e-6;
-        let step = a.between(&b);
-        // The chord leaves the body frame of `a` at half the turn.
-        let (s, c) = (0.5 * step.yaw_rad).sin_cos();
-        Some(BodyVelocity {
-            forward_mps: (c * step.x_m + s * step.y_m) / dt_s,
-            left_mps: (c * step.y_m - s * step.x_m) / dt_s,
-            yaw_rate_radps: wrap_angle(step.yaw_rad) / dt_s,
-        })
+        Some(BodyVelocity::of_step(&self.pose[after - 1].between(&self.pose[after]), dt_s))
+    }
+
+    /// Mean speed and yaw rate from one time to a later one, in the body frame half-way; `None` outside
+    /// the trajectory.
+    #[must_use]
+    pub fn velocity_between(&self, from_us: i64, to_us: i64) -> Option<BodyVelocity> {
+        let step = self.at(from_us)?.between(&self.at(to_us)?);
+        (from_us < to_us).then(|| BodyVelocity::of_step(&step, (to_us - from_us) as f64 * 1e-6))
     }
 
     /// (time in microseconds, pose) pairs, oldest first.
@@ -162,6 +162,17 @@ pub struct BodyVelocity {
 }
 
 impl BodyVelocity {
+    /// The velocity of a relative pose that took some seconds.
+    fn of_step(step: &Pose2, dt_s: f64) -> Self {
+        // The chord leaves the body frame of the step's start at half the turn.
+        let (s, c) = (0.5 * step.yaw_rad).sin_cos();
+        Self {
+            forward_mps: (c * step.x_m + s * step.y_m) / dt_s,
+            left_mps: (c * step.y_m - s * step.x_m) / dt_s,
+            yaw_rate_radps: wrap_angle(step.yaw_rad) / dt_s,
+        }
+    }
+
     /// Speed over ground, metres per second.
     #[must_use]
     pub fn speed_mps(&self) -> f64 {

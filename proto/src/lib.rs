@@ -1,6 +1,9 @@
-//! The contract of Echofix, generated from `proto/echofix/v1/*.proto`, and nothing else.
+//! The contract of Echofix, generated from `proto/echofix/v1/*.proto`, and nothing else but
+//! the [`codec`] it travels by.
 //!
 //! The `.proto` files are the reference: every field says its unit, frame and sign there.
+
+pub mod codec;
 
 /// Version 1 of the contract.
 #[allow(clippy::large_enum_variant, reason = "generated; the variants are the contract's")]

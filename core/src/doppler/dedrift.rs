@@ -1,0 +1,268 @@
+//! Odometry, corrected by the velocities the radars measured.
+//!
+//! Over a batch, odometry errs by a velocity that hardly changes: a scale of the wheels, a bias of the
+//! gyro. So its error is taken for a straight line in time, in each of forward, left and yaw rate, and
+//! fitted to what the radars say. Each stretch between two estimates is compared as a whole: the noise
+//! of single odometry poses cancels, for where one stretch ends the next begins.
+
+use nalgebra::{Matrix3x6, SMatrix, SVector, Vector3};
+
+use super::ego::{EgoConfig, EgoVelocity, ego_velocity};
+use crate::odometry::{BodyVelocity, Trajectory};
+use crate::pose::Pose2;
+use crate::scan::{Mount, ScanView};
+
+/// How odometry may err.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OdometryBias {
+    /// One-sigma error of the velocity along each axis, metres per second.
+    pub velocity_mps: f64,
+    /// One-sigma error of the yaw rate, radians per second.
+    pub yaw_rate_radps: f64,
+    /// Estimates that err alike: so many count as one. What stands along a street draws all of them
+    /// the same way.
+    pub alike: f64,
+    /// Seconds of scans that make one estimate of the own velocity: so many that every radar takes
+    /// part.
+    pub group_s: f64,
+}
+
+impl Default for OdometryBias {
+    /// A car's: wheels that err by a percent, and a gyro that the radars cannot better by much.
+    fn default() -> Self {
+        Self { velocity_mps: 0.1, yaw_rate_radps: 0.05_f64.to_radians(), alike: 4.0, group_s: 0.1 }
+    }
+}
+
+impl OdometryBias {
+    /// The largest drift of the paper (Sec. "Sensitivity to Odometric Drift"): 1 degree over 5 s.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { yaw_rate_radps: 0.2_f64.to_radians(), ..Self::default() }
+    }
+}
+
+/// Odometry that the radars corrected.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dedrifted {
+    /// The way, from the same first pose.
+    pub trajectory: Trajectory,
+    /// What was added to the velocity in the middle of the scans.
+    pub correction: BodyVelocity,
+    /// Estimates of the own velocity it rests on.
+    pub estimates: usize,
+}
+
+/// Six numbers: the error of (forward, left, yaw rate) in the middle, and how it changes from there to
+/// the end.
+type Line = SVector<f64, 6>;
+
+/// Estimates of the own velocity, fewer of which correct nothing.
+const MIN_ESTIMATES: usize = 5;
+
+/// Corrects odometry by the radial speeds of the scans it organises, oldest first; `None` where they say too
+/// little, as they do when the sensors do not measure them.
+#[must_use]
+pub fn dedrifted<'a, S>(
+    scans: S,
+    mounts: &[Mount],
+    odometry: &Trajectory,
+    ego: &EgoConfig,
+    bias: &OdometryBias,
+) -> Option<Dedrifted>
+where
+    S: IntoIterator<Item: Into<ScanView<'a>>>,
+{
+    let estimates = estimates(scans, mounts, ego, bias);
+    let ((first_us, _), (last_us, _)) = (estimates.first()?, estimates.last()?);
+    let span = Span { first_us: *first_us, last_us: *last_us };
+    if estimates.len() < MIN_ESTIMATES {
+        return None;
+    }
+    let line = fitted(&estimates, odometry, &span, bias)?;
+    let correction = body_velocity(&line.fixed_rows::<3>(0).into_owned());
+    let trajectory = span.corrected(odometry, &line)?;
+    Some(Dedrifted { trajectory, correction, estimates: estimates.len() })
+}
+
+/// Estimates of the own velocity with their times, microseconds.
+fn estimates<'a, S>(
+    scans: S,
+    mounts: &[Mount],
+    ego: &EgoConfig,
+    bias: &OdometryBias,
+) -> Vec<(i64, EgoVelocity)>
+where
+    S: IntoIterator<Item: Into<ScanView<'a>>>,
+{
+    let scans: Vec<ScanView<'a>> = scans.into_iter().map(Into::into).collect();
+    let group_us = (bias.group_s * 1e6) as i64;
+    let groups = scans.chunk_by(|a, b| a.time_us.div_euclid(group_us) == b.time_us.div_euclid(group_us));
+    let estimate = |group: &[ScanView<'a>]| {
+        // The time of the detections, not of the scans: few of them come from a radar that sees little.
+        let (first_us, mut rows, mut offset_us) = (group[0].time_us, 0, 0);
+        for scan in group {
+            rows += scan.range_m.len() as i64;
+            offset_us += (scan.time_us - first_us) * scan.range_m.len() as i64;
+        }
+        let velocity = ego_velocity(group.iter().copied(), mounts, ego)?;
+        Some((first_us + offset_us / rows.max(1), velocity))
+    };
+    groups.filter_map(estimate).collect()
+}
+
+/// The error of odometry's velocity, weighted by the estimates' covariances.
+fn fitted(
+    estimates: &[(i64, EgoVelocity)],
+    odometry: &Trajectory,
+    span: &Span,
+    bias: &OdometryBias,
+) -> Option<Line> {
+    let sigmas = [bias.velocity_mps, bias.velocity_mps, bias.yaw_rate_radps].map(|sigma| sigma.powi(-2));
+    let prior = Line::from_iterator(sigmas.into_iter().cycle().take(6));
+    let (mut information, mut sum) = (SMatrix::<f64, 6, 6>::from_diagonal(&prior), Line::zeros());
+    for (index, (time_us, estimate)) in estimates.iter().enumerate() {
+        let middle =
+            |other: Option<&(i64, EgoVelocity)>| other.map_or(*time_us, |(t, _)| i64::midpoint(*t, *time_us));
+        let before = index.checked_sub(1).and_then(|before| estimates.get(before));
+        let (from_us, to_us) = (middle(before), middle(estimates.get(index + 1)));
+        let Some(odometric) = odometry.velocity_between(from_us, to_us) else { continue };
+        let error = vector(&estimate.velocity) - vector(&odometric);
+        let Some(weight) = (estimate.covariance * bias.alike).try_inverse() else { continue };
+        let design = span.design(*time_us);
+        information += design.transpose() * weight * design;
+        sum += design.transpose() * weight * error;
+    }
+    Some(information.cholesky()?.solve(&sum))
+}
+
+/// The time from the first estimate to the last.
+struct Span {
+    first_us: i64,
+    last_us: i64,
+}
+
+impl Span {
+    /// -1 at the first estimate and before, 1 at the last and after.
+    fn place(&self, time_us: i64) -> f64 {
+        let (middle, half) =
+            (i64::midpoint(self.first_us, self.last_us), (self.last_us - self.first_us) as f64 / 2.0);
+        ((time_us - middle) as f64 / half.max(1.0)).clamp(-1.0, 1.0)
+    }
+
+    /// Error of the velocity at a time, as a matrix on the line's numbers.
+    fn design(&self, time_us: i64) -> Matrix3x6<f64> {
+        let place = self.place(time_us);
+        let mut design = Matrix3x6::zeros();
+        for axis in 0..3 {
+            design[(axis, axis)] = 1.0;
+            design[(axis, axis + 3)] = place;
+        }
+        design
+    }
+
+    /// The way with every step corrected.
+    fn corrected(&self, odometry: &Trajectory, line: &Line) -> Option<Trajectory> {
+        let (mut last_us, mut last) = odometry.first()?;
+        let mut pose = last;
+        let mut corrected = Trajectory::new([(last_us, pose)]).ok()?;
+        for (time_us, next) in odometry.iter().skip(1) {
+            let dt_s = (time_us - last_us) as f64 * 1e-6;
+            let added = self.design(i64::midpoint(last_us, time_us)) * line * dt_s;
+            let step = last.between(&next);
+            // What is added points along the body half-way through the step's turn.
+            let (s, c) = (0.5 * (step.yaw_rad + added.z)).sin_cos();
+            pose = pose.compose(&Pose2::new(
+                step.x_m + c * added.x - s * added.y,
+                step.y_m + s * added.x + c * added.y,
+                step.yaw_rad + added.z,
+            ));
+            corrected.push(time_us, pose).ok()?;
+            (last_us, last) = (time_us, next);
+        }
+        Some(corrected)
+    }
+}
+
+fn vector(v: &BodyVelocity) -> Vector3<f64> {
+    Vector3::new(v.forward_mps, v.left_mps, v.yaw_rate_radps)
+}
+
+fn body_velocity(v: &Vector3<f64>) -> BodyVelocity {
+    BodyVelocity { forward_mps: v.x, left_mps: v.y, yaw_rate_radps: v.z }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doppler::static_radial_speed;
+    use crate::scan::Scan;
+    use proptest::prelude::*;
+
+    fn mounts() -> [Mount; 3] {
+        [Mount::new(3.6, 0.0, 0.0), Mount::new(3.4, 0.7, 0.8), Mount::new(3.4, -0.7, -0.8)]
+    }
+
+    /// On a bend at a speed, 5 s, a pose every 20 ms; speed and yaw rate are off by some share and rate.
+    fn bend(scale: f64, gyro_radps: f64) -> Trajectory {
+        let (dt_s, speed_mps, yaw_rate) = (0.02, 8.0 * (1.0 + scale), 0.15 + gyro_radps);
+        let radius_m = speed_mps / yaw_rate;
+        let pose = |i: i64| {
+            let turned = yaw_rate * dt_s * i as f64;
+            Pose2::new(radius_m * turned.sin(), radius_m * (1.0 - turned.cos()), turned)
+        };
+        Trajectory::new((0..=250).map(|i| (i * 20_000, pose(i)))).unwrap()
+    }
+
+    /// What the radars see on the true bend, without error.
+    fn seen() -> Vec<Scan> {
+        let truth = bend(0.0, 0.0);
+        let scan = |i: i64| {
+            let (sensor, time_us) = (i as usize % 3, 15_000 * i);
+            let v = truth.velocity_at(time_us).unwrap();
+            let azimuth_rad: Vec<f32> = (-10..=10).map(|k| 0.08 * k as f32).collect();
+            let radial =
+                |azimuth: &f32| static_radial_speed(&mounts()[sensor], v, f64::from(*azimuth)) as f32;
+            let radial_speed_mps = azimuth_rad.iter().map(radial).collect();
+            Scan {
+                sensor,
+                time_us,
+                range_m: vec![20.0; 21],
+                azimuth_rad,
+                radial_speed_mps,
+                ..Scan::default()
+            }
+        };
+        (0..333).map(scan).collect()
+    }
+
+    fn end_error(a: &Trajectory, b: &Trajectory) -> (f64, f64) {
+        let (a, b) = (a.last().unwrap().1, b.last().unwrap().1);
+        (a.distance_m(&b), a.between(&b).yaw_rad.abs())
+    }
+
+    proptest! {
+        #[test]
+        fn a_scale_and_a_bias_are_found(scale in -0.02..0.02_f64, gyro in -0.006..0.006_f64) {
+            let odometry = bend(scale, gyro);
+            let config = (EgoConfig::default(), OdometryBias::paper());
+            let found = dedrifted(&seen(), &mounts(), &odometry, &config.0, &config.1).unwrap();
+            prop_assert!(found.estimates >= 45, "{}", found.estimates);
+            let (metres, radians) = end_error(&found.trajectory, &bend(0.0, 0.0));
+            // What the prior keeps of it: the radars cannot tell all of a turn from sliding sideways.
+            let (before_m, before_rad) = end_error(&odometry, &bend(0.0, 0.0));
+            prop_assert!(metres < 0.5 * before_m + 0.02, "{metres} of {before_m} m");
+            prop_assert!(radians < 0.5 * before_rad + 1e-3, "{radians} of {before_rad} rad");
+        }
+    }
+
+    #[test]
+    fn without_radial_speeds_nothing_is_corrected() {
+        let mut scans = seen();
+        for scan in &mut scans {
+            scan.radial_speed_mps.clear();
+        }
+        let config = (EgoConfig::default(), OdometryBias::default());
+        assert_eq!(dedrifted(&scans, &mounts(), &bend(0.0, 0.0), &config.0, &config.1), None);
+    }
+}
