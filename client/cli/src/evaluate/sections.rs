@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use super::condition::{Condition, Experiment};
+use super::groups::{Groups, methods, of_method};
 use super::method::RISK;
 use super::plots::{self, Curve, Panel};
 use super::record::Record;
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
-use super::tables::{self, ALERT_M, Groups, methods, of_method};
+use super::tables::{self, ALERT_M};
 
 /// A part of the report.
 pub struct Section {
