@@ -104,11 +104,14 @@ impl<'a> Scanner<'a> {
         if aspect <= 0.0 {
             return None;
         }
-        let half_range_m = HALF_RANGE_M * 10_f64.powf(reflector.rcs_dbsm / 40.0);
-        let chance =
-            self.spec.sensitivity * reflector.probability * aspect / (1.0 + (range_m / half_range_m).powi(4));
-        // The ray is the costly part: it decides last, with the same draw.
+        // The ray is the costly part, the range's share the next: they decide last, with the same draw.
+        let near = self.spec.sensitivity * reflector.probability * aspect;
         let draw: f64 = self.rng.random();
+        if draw >= near {
+            return None;
+        }
+        let half_range_m = HALF_RANGE_M * 10_f64.powf(reflector.rcs_dbsm / 40.0);
+        let chance = near / (1.0 + (range_m / half_range_m).powi(4));
         if draw >= chance || draw >= chance * self.seen_share(sight, reflector) {
             return None;
         }

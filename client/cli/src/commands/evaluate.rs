@@ -102,13 +102,13 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let sections: Vec<Section> =
         experiments.iter().map(|e| Section::of(*e, &rows, plan.base, &crowds)).collect();
     let about = About::of(&places, &plan, &rows);
+    if let Some(folder) = &args.write {
+        write_report(folder, &about, &sections)?;
+    }
     if json {
         println!("{}", summary::of(&rows, &experiments, plan.base, &crowds));
     } else {
         println!("{}", page(&about, &sections));
-    }
-    if let Some(folder) = &args.write {
-        write_report(folder, &about, &sections)?;
     }
     if args.quick {
         sanity::check(&rows, &plan.base)?;

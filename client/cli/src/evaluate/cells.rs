@@ -21,6 +21,10 @@ pub const ALONG: Quantity = |row| Some(row.along_m.abs());
 pub const CROSS: Quantity = |row| Some(row.cross_m.abs());
 /// Error of the heading, degrees.
 pub const HEADING: Quantity = |row| Some(row.yaw_deg.abs());
+/// Horizontal error against the vehicle's own positioning, metres.
+pub const REFERENCE: Quantity = |row| row.reference_m;
+/// Error of the heading against it, degrees.
+pub const REFERENCE_HEADING: Quantity = |row| row.reference_deg;
 /// The map's own error, metres.
 pub const FLOOR: Quantity = |row| row.floor_m;
 /// Horizontal error without the map's, metres.

@@ -17,6 +17,9 @@ use super::world::World;
 
 /// The longest batch; every epoch has that much behind it, so that all lengths see the same epochs.
 const WARM_UP_US: i64 = 8_000_000;
+/// Right after a rest a batch is nearly empty, and the service would refuse it: so long must have been
+/// driven, microseconds.
+const DRIVEN_US: i64 = 1_000_000;
 /// Epochs this far apart count as independent: structure and the errors of the map's poses have
 /// changed, microseconds.
 const BLOCK_US: i64 = 120_000_000;
@@ -46,9 +49,14 @@ pub fn epochs(world: &World, every_s: f64, most: usize, swept: usize) -> Vec<Epo
     let Some(first) = world.drive.scans.first() else { return Vec::new() };
     let mut next_us = first.time_us + WARM_UP_US;
     let mut times = Vec::new();
+    let mut rested_us = first.time_us;
     for scan in &world.drive.scans {
         let speed = world.odometry.velocity_at(scan.time_us).map_or(0.0, |v| v.speed_mps());
-        if scan.time_us >= next_us && speed > least_mps && world.truth.at(scan.time_us).is_some() {
+        if speed <= least_mps {
+            rested_us = scan.time_us;
+        }
+        let driven = scan.time_us - rested_us >= DRIVEN_US;
+        if scan.time_us >= next_us && driven && world.truth.at(scan.time_us).is_some() {
             times.push(scan.time_us);
             next_us = scan.time_us + (every_s * 1e6) as i64;
         }

@@ -6,7 +6,7 @@
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
 //! - [`statistics`]: percentiles, intervals, curves.
-//! - [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
+//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
 //! - [`sanity`]: what any run must come out as.
 
@@ -15,6 +15,7 @@ pub mod cells;
 pub mod condition;
 pub mod epoch;
 pub mod floor;
+pub mod groups;
 pub mod logged;
 pub mod map;
 pub mod method;

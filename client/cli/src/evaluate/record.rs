@@ -62,6 +62,10 @@ pub struct Record {
     pub offset_m: f64,
     /// Of its heading, degrees.
     pub offset_deg: f64,
+    /// Horizontal error against what the vehicle's own positioning believed, metres.
+    pub reference_m: Option<f64>,
+    /// Of the heading, degrees.
+    pub reference_deg: Option<f64>,
     /// Error of the map's own georeference here, metres; empty where unknown.
     pub floor_m: Option<f64>,
     /// Of its heading, degrees.
@@ -88,7 +92,9 @@ pub struct Record {
 pub struct Facts {
     /// True pose at the reference time: map metres, radians.
     pub truth: Pose2,
-    /// The same, had the drift not been an error: the offset of the trajectory is taken from it.
+    /// What its own positioning believed.
+    pub reference: Option<Pose2>,
+    /// The same as the truth, had the drift not been an error: the offset of the trajectory is taken from it.
     pub drifted: Pose2,
     /// Map metres a ground metre.
     pub scale: f64,
@@ -106,6 +112,10 @@ impl Record {
         let offset = facts.drifted.between(&outcome.pose);
         self.offset_m = offset.x_m.hypot(offset.y_m) / facts.scale;
         self.offset_deg = offset.yaw_rad.to_degrees().abs();
+        if let Some(off) = facts.reference.map(|reference| reference.between(&outcome.pose)) {
+            self.reference_m = Some(off.x_m.hypot(off.y_m) / facts.scale);
+            self.reference_deg = Some(off.yaw_rad.to_degrees().abs());
+        }
         self.floor_m = facts.floor.map(|f| f.x_m.hypot(f.y_m) / facts.scale);
         self.floor_deg = facts.floor.map(|f| f.yaw_rad.to_degrees().abs());
         self.net_m = facts.floor.map(|f| {
@@ -185,11 +195,14 @@ mod tests {
     #[test]
     fn errors_turn_with_the_vehicle() {
         let truth = Pose2::new(100.0, 50.0, FRAC_PI_2);
-        let facts = Facts { truth, drifted: Pose2::new(100.0, 49.0, FRAC_PI_2), scale: 0.5, floor: None };
+        let reference = Some(Pose2::new(100.3, 50.2, FRAC_PI_2));
+        let drifted = Pose2::new(100.0, 49.0, FRAC_PI_2);
+        let facts = Facts { truth, reference, drifted, scale: 0.5, floor: None };
         let row =
             Record::default().answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
         assert!((row.along_m - 0.4).abs() < 1e-9 && (row.cross_m + 0.2).abs() < 1e-9);
         assert!((row.yaw_deg - 0.01_f64.to_degrees()).abs() < 1e-9);
+        assert!((row.reference_m.unwrap() - 0.4).abs() < 1e-9);
         assert!((row.offset_m - 2.0 * 0.1_f64.hypot(1.2)).abs() < 1e-9);
         assert!(row.nees_2.is_none() && !row.wrong() && (row.ms - 7.0).abs() < 1e-9);
     }

@@ -105,7 +105,8 @@ fn fix(
     let prior = prior(drifted, world.scale, seed.wrapping_add(number as u64));
     let outcome = method.fix(world.map(condition.contributors, method.movers())?, batch, &prior);
     let floor = world.floor.around(&truth, condition.contributors);
-    let facts = Facts { truth, drifted: *drifted, scale: world.scale, floor };
+    let reference = world.reference.at(epoch.time_us);
+    let facts = Facts { truth, reference, drifted: *drifted, scale: world.scale, floor };
     let row = Record {
         place: world.place,
         world: world.name.clone(),

@@ -4,9 +4,9 @@ use anyhow::ensure;
 use echofix_sim::Scene;
 
 use super::condition::Condition;
+use super::groups::{methods, of_method};
 use super::record::Record;
 use super::simulated::is_scene;
-use super::tables::{methods, of_method};
 use crate::statistics::Percentiles;
 
 /// Median error that any method stays below on 5 s batches, metres: twice the usual.

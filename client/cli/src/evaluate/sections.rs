@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use super::condition::{Condition, Experiment};
+use super::groups::{Groups, methods, of_method};
 use super::method::RISK;
 use super::plots::{self, Curve, Panel};
 use super::record::Record;
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
-use super::tables::{self, ALERT_M, Groups, methods, of_method};
+use super::tables::{self, ALERT_M};
 
 /// A part of the report.
 pub struct Section {
@@ -81,10 +82,13 @@ fn headline(rows: &[Record], base: Condition) -> Section {
         &image("Stanford diagram", "stanford.svg"),
     ]
     .join("\n");
-    let pairs = rows.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
+    // Of several methods that give levels the last one is shown: variants come before what is offered.
+    let leveled = groups.iter().rev().find(|(_, rows)| rows.iter().any(|r| r.protection_m().is_some()));
+    let (name, leveled) = leveled.map_or(("", &rows), |(name, rows)| (name.as_str(), rows));
+    let pairs = leveled.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
     let figures = vec![
         ("ccdf-headline.svg", Figure::Ccdfs(panels("", &groups))),
-        ("stanford.svg", Figure::Stanford("Errors and protection levels".to_owned(), pairs.collect())),
+        ("stanford.svg", Figure::Stanford(format!("{name}: errors, levels"), pairs.collect())),
     ];
     Section { experiment: Experiment::Headline, text, figures }
 }

@@ -3,9 +3,9 @@
 use serde_json::{Value, json};
 
 use super::condition::{Condition, Experiment};
+use super::groups::{methods, of_method};
 use super::record::Record;
 use super::simulated::is_scene;
-use super::tables::{methods, of_method};
 use crate::statistics::Percentiles;
 
 /// Figures by experiment, condition and method.

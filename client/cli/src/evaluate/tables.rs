@@ -3,38 +3,16 @@
 use std::fmt::Write as _;
 
 use super::cells::{
-    ALONG, CROSS, FLOOR, HEADING, HORIZONTAL, NET, OFFSET, OFFSET_HEADING, Quantity, bounds, cell, cluster,
-    figures, percent, short,
+    ALONG, CROSS, FLOOR, HEADING, HORIZONTAL, NET, OFFSET, OFFSET_HEADING, Quantity, REFERENCE,
+    REFERENCE_HEADING, bounds, cell, cluster, figures, percent, short,
 };
+use super::groups::{Groups, usable};
 use super::record::Record;
 use super::statistics::bootstrap::Estimate;
 use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, calibration};
 
 /// The alert limit the paper speaks of, metres.
 pub const ALERT_M: f64 = 0.5;
-
-/// Groups of rows with a name each: the lines of a table.
-pub type Groups<'a> = Vec<(String, Vec<&'a Record>)>;
-
-/// Rows of one method, in the order they came.
-pub fn of_method<'a>(rows: &[&'a Record], method: &str) -> Vec<&'a Record> {
-    rows.iter().copied().filter(|row| row.method == method).collect()
-}
-
-/// Methods in the order of the tables.
-pub fn methods(rows: &[&Record]) -> Vec<&'static str> {
-    let mut names = Vec::new();
-    for row in rows {
-        if !names.contains(&row.method) {
-            names.push(row.method);
-        }
-    }
-    names
-}
-
-fn usable<'a>(rows: &[&'a Record]) -> Vec<&'a Record> {
-    rows.iter().copied().filter(|row| row.usable).collect()
-}
 
 /// A table with a first column of names.
 fn table(groups: &Groups<'_>, columns: &[&str], line: impl Fn(&[&Record]) -> Option<Vec<String>>) -> String {
@@ -58,6 +36,8 @@ pub fn errors(groups: &Groups<'_>) -> String {
         "off by > 50 cm",
         "wrong by > 1 m",
         "map's own error, cm",
+        "as the paper measures: horizontal, cm",
+        "heading, deg",
     ];
     table(groups, &columns, |rows| {
         Some(vec![
@@ -69,6 +49,8 @@ pub fn errors(groups: &Groups<'_>) -> String {
             percent(rows, |row| row.error_m() > ALERT_M),
             percent(rows, Record::wrong),
             cell(rows, FLOOR, 100.0, 0),
+            cell(rows, REFERENCE, 100.0, 0),
+            cell(rows, REFERENCE_HEADING, 1.0, 2),
         ])
     })
 }
@@ -212,6 +194,7 @@ pub fn costs(groups: &Groups<'_>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::groups::{methods, of_method};
 
     #[test]
     fn every_table_has_a_line_a_group_and_a_cell_a_column() {

@@ -25,6 +25,8 @@ pub struct World {
     pub odometry: Trajectory,
     /// Where it really was: map metres, radians from grid east.
     pub truth: Trajectory,
+    /// Where its own positioning believed it was, as the paper's errors are measured; may be empty.
+    pub reference: Trajectory,
     /// Map metres a ground metre.
     pub scale: f64,
     /// How far off the maps' own poses were.
@@ -71,6 +73,7 @@ impl World {
             name,
             odometry: drive.odometry.clone(),
             truth,
+            reference: on_grid(&grid, &drive.reference)?,
             scale: grid.scale_factor(first.at)?,
             floor: Floor::of(&grid, &mapping)?,
             maps: maps.collect(),
