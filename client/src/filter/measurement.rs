@@ -42,8 +42,7 @@ impl From<&Fix> for FixMeasurement {
             at: fix.pose.at,
             yaw_rad: fix.pose.yaw_rad,
             covariance: fix.covariance,
-            // Answers rest on the batch and the map alone; the prior only says where to search.
-            contains_prior: false,
+            contains_prior: fix.contains_prior,
             prior: PriorSource::Own,
         }
     }

@@ -1,5 +1,6 @@
 //! What a vehicle needs, and how its odometry drifts.
 
+use echofix_core::doppler::dedrift::OdometryBias;
 use echofix_core::scan::Gate;
 
 /// How a [`Vehicle`](super::Vehicle) collects, asks and judges.
@@ -14,6 +15,9 @@ pub struct Config {
     pub max_odometry_gap_s: f64,
     /// How odometry drifts.
     pub drift: Drift,
+    /// How odometry may err within a batch, for the radars' radial speeds to correct it; `None` to
+    /// leave it as it is. Radars that measure no radial speed correct nothing.
+    pub odometry_bias: Option<OdometryBias>,
     /// A prior is never called better known than this, metres: the search must reach past a fix
     /// that was overconfident.
     pub min_prior_sigma_position_m: f64,
@@ -38,6 +42,7 @@ impl Default for Config {
             gate: Gate::default(),
             max_odometry_gap_s: 0.5,
             drift: Drift::default(),
+            odometry_bias: Some(OdometryBias::default()),
             min_prior_sigma_position_m: 0.5,
             min_prior_sigma_yaw_rad: 1_f64.to_radians(),
             integrity_risk: 0.0,

@@ -22,7 +22,9 @@ pub use verdict::{Fix, Rejection};
 use echofix_core::batch::Dropped;
 use echofix_core::drive::GeoPose;
 use echofix_core::geo;
-use echofix_core::odometry;
+use echofix_core::doppler::dedrift::dedrifted;
+use echofix_core::doppler::ego::EgoConfig;
+use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_proto::v1;
@@ -255,12 +257,25 @@ impl Vehicle {
         let mut poses = self.window.odometry().clone();
         poses.trim_before(from_us);
         let until = poses.iter().position(|(t, _)| t >= to_us).map_or(poses.len(), |i| i + 1);
+        let poses = self.corrected(poses.iter().take(until));
         v1::Batch {
             reference_time_us: to_us,
             mounts: self.window.mounts().iter().map(wire::mount).collect(),
             scans: Some(wire::scans(self.window.scans(), to_us, Columns::Geometry)),
-            odometry: Some(wire::odometry(poses.iter().take(until), to_us)),
+            odometry: Some(wire::odometry(poses.iter(), to_us)),
         }
+    }
+
+    /// The odometry of a batch, corrected by what the radars say of the own velocity.
+    fn corrected(&self, poses: impl Iterator<Item = (i64, Pose2)>) -> Trajectory {
+        let mut odometry = Trajectory::default();
+        for (time_us, pose) in poses {
+            odometry.push(time_us, pose).expect("they came in order from a trajectory");
+        }
+        let Some(bias) = self.config.odometry_bias else { return odometry };
+        let mounts = self.window.mounts();
+        let corrected = dedrifted(self.window.scans(), mounts, &odometry, &EgoConfig::default(), &bias);
+        corrected.map_or(odometry, |corrected| corrected.trajectory)
     }
 
     fn prior(&self, pose: &GeoPose) -> v1::Prior {

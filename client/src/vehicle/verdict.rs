@@ -19,6 +19,8 @@ pub struct Fix {
     pub age_s: f64,
     /// Epoch of the map it rests on.
     pub map_epoch: u64,
+    /// True when the prior of the question was combined into the pose.
+    pub contains_prior: bool,
 }
 
 /// Why an answer is not used.
@@ -86,7 +88,8 @@ pub(super) fn judge(
     let covariance = covariance(answer)?;
     let pose = pose(answer, &covariance)?;
     let map_epoch = answer.map.as_ref().map_or(0, |map| map.epoch);
-    Ok(Fix { pose, covariance, protection, age_s, map_epoch })
+    let contains_prior = answer.contains_prior;
+    Ok(Fix { pose, covariance, protection, age_s, map_epoch, contains_prior })
 }
 
 /// The protection levels, within the limits.

@@ -126,8 +126,8 @@ impl Window {
             let mount = &self.mounts[scan.sensor];
             gate::apply(&mut scan, mount, velocity, &self.config.gate, &mut self.dropped);
             if !scan.is_empty() {
-                // Only geometry is sent: do not hold the rest for seconds.
-                (scan.radial_speed_mps, scan.rcs_dbsm) = (Vec::new(), Vec::new());
+                // Geometry is sent, and radial speeds correct the odometry; do not hold the rest.
+                scan.rcs_dbsm = Vec::new();
                 insert(&mut self.kept, scan);
             }
         }

@@ -118,10 +118,11 @@ pub struct DriftPrior {
 }
 
 impl Default for DriftPrior {
-    /// What the paper studies as the worst: 40 cm and 1 degree in 5 s. The prior's tail is heavy and its
-    /// middle narrow, so that good odometry loses little.
+    /// 10 cm and half a degree in 5 s: what is left when radial speeds have corrected the odometry (see
+    /// [`crate::doppler::dedrift`]). The prior's tail is heavy, so that worse odometry is followed, too; a
+    /// wider middle lets parked cars, which are never parked twice alike, pull the batch apart.
     fn default() -> Self {
-        Self { position_mps: 0.08, yaw_radps: 0.2_f64.to_radians(), temperature: 15.0 }
+        Self { position_mps: 0.02, yaw_radps: 0.1_f64.to_radians(), temperature: 3.0 }
     }
 }
 

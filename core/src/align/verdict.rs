@@ -50,16 +50,16 @@ impl Default for Integrity {
         Self {
             min_points: 300,
             min_coverage: 0.7,
-            min_matched: 0.5,
+            min_matched: 0.45,
             matched_within_m: 0.3,
             min_contrast: 1.3,
-            min_margin: 5.0,
+            min_margin: 12.0,
             max_sigma_m: 0.5,
             score_temperature: 10.0,
-            temperature: 2.0,
-            map_pose_m: 0.11,
-            floor_m: 0.02,
-            floor_yaw_rad: 0.001,
+            temperature: 2.5,
+            map_pose_m: 0.12,
+            floor_m: 0.03,
+            floor_yaw_rad: 0.05_f64.to_radians(),
             tail: 1.3,
         }
     }

@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 
 use echofix_core::batch::Batch;
+use echofix_core::doppler::dedrift::{OdometryBias, dedrifted};
+use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::geo::CellIndex;
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -113,7 +115,14 @@ pub fn ask(
     else {
         return Ok(None);
     };
-    let batch = Batch::organise(&scans[from..to], &world.drive.mounts, &way, end_us, &movers.gate())?;
+    let (seen, mounts) = (&scans[from..to], &world.drive.mounts);
+    // Who tells movers by their radial speeds corrects odometry by those of what stands still.
+    let corrected = match movers {
+        Movers::Kept => None,
+        Movers::Dropped => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
+    };
+    let organised_by = corrected.as_ref().map_or(&way, |corrected| &corrected.trajectory);
+    let batch = Batch::organise(seen, mounts, organised_by, end_us, &movers.gate())?;
     let drifted = match condition.drift.and_then(|_| world.truth.at(begin_us)) {
         None => truth,
         Some(start) => {

@@ -195,7 +195,14 @@ fn odometry_that_is_none_is_refused_and_a_jump_starts_over() {
 fn the_library_s_fix_becomes_a_measurement() {
     let pose = GeoPose { time_us: T0, at: START, yaw_rad: 0.3, ..GeoPose::default() };
     let covariance = [1.0, 0.1, 0.2, 2.0, 0.3, 3.0];
-    let vehicle = crate::vehicle::Fix { pose, covariance, protection: None, age_s: 0.0, map_epoch: 1 };
+    let vehicle = crate::vehicle::Fix {
+        pose,
+        covariance,
+        protection: None,
+        age_s: 0.0,
+        map_epoch: 1,
+        contains_prior: false,
+    };
     let FixMeasurement { time_us, at, yaw_rad, covariance: taken, .. } = FixMeasurement::from(&vehicle);
     assert_eq!((time_us, at, yaw_rad, taken), (T0, START, 0.3, covariance));
 }

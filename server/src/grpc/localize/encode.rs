@@ -142,11 +142,11 @@ fn refused_by(verdict: &Verdict) -> (FixStatus, String) {
     let percent = |share: f64| share * 100.0;
     match *verdict {
         Verdict::Usable => (FixStatus::Usable, String::new()),
-        Verdict::Ambiguous { relative_score, along_track: true } => (
+        Verdict::Ambiguous { relative_score, along_track: true, .. } => (
             FixStatus::AmbiguousAlongTrack,
             format!("another pose along the street scores {:.0} % of this one", percent(relative_score)),
         ),
-        Verdict::Ambiguous { relative_score, along_track: false } => {
+        Verdict::Ambiguous { relative_score, along_track: false, .. } => {
             (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", percent(relative_score)))
         }
         Verdict::TooLittleStructure { points, sigma_m } if !sigma_m.is_finite() => (
