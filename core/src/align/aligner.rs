@@ -14,6 +14,10 @@ use super::{Alignment, Prior, Search};
 use crate::batch::Batch;
 use crate::window::Frame;
 
+/// Share of the highest hill's score below which a hill is not climbed: a climb adds some percent, and
+/// rivals differ by less.
+const RIVAL: f64 = 0.9;
+
 /// Which engine searches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum EngineKind {
@@ -69,9 +73,7 @@ impl Aligner {
         };
         engine.search(&question, &mut self.peaks);
         let field = Field::of(&self.view);
-        self.summits.clear();
-        self.summits.extend(self.peaks.iter().map(|peak| climb::climb(&field, &self.thinned, prior, peak)));
-        self.summits.sort_by(|a, b| b.score.total_cmp(&a.score));
+        climbed(&field, &self.thinned, prior, &self.peaks, &mut self.summits);
         let rigid = self.summits.first().copied();
         self.flexible.take(batch, search, BLOCK_M);
         let answer = rigid.map(|summit| self.flexible.climb(&field.sharpened(), prior, &summit, &search.drift));
@@ -83,4 +85,17 @@ impl Aligner {
         };
         case.judge(integrity)
     }
+}
+
+/// The summits, best first. Hills that cannot be rivals any more keep the score of their foot.
+fn climbed(field: &Field, points: &[[f32; 3]], prior: &Prior, peaks: &[Peak], summits: &mut Vec<Summit>) {
+    summits.clear();
+    summits.extend(peaks.iter().map(|peak| Summit::foot(field, points, prior, peak)));
+    let highest = summits.iter().map(|foot| foot.score).fold(0.0, f64::max);
+    for (summit, peak) in summits.iter_mut().zip(peaks) {
+        if summit.score > RIVAL * highest {
+            *summit = climb::climb(field, points, prior, peak);
+        }
+    }
+    summits.sort_by(|a, b| b.score.total_cmp(&a.score));
 }

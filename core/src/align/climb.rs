@@ -13,7 +13,9 @@ use crate::pose::{Pose2, wrap_angle};
 /// Lengths that one step may have at most: metres, metres, radians.
 const MAX_STEP: [f64; 3] = [0.3, 0.3, 0.015];
 /// A step below this is the last one: metres, metres, radians.
-const CONVERGED: [f64; 3] = [0.002, 0.002, 0.000_05];
+const CONVERGED: [f64; 3] = [0.003, 0.003, 0.000_1];
+/// Points that show the way.
+const GUIDES: usize = 640;
 const MAX_STEPS: usize = 8;
 /// Seconds over which odometry is taken as rigid.
 const STRETCH_S: f64 = 0.5;
@@ -37,27 +39,50 @@ pub struct Summit {
     pub at_edge: bool,
 }
 
-/// Climbs a hill with rigid points, ground metres in the body's frame.
+impl Summit {
+    /// The foot of a hill: as high as it was found.
+    #[must_use]
+    pub fn foot(field: &Field, points: &[[f32; 3]], prior: &Prior, peak: &Peak) -> Self {
+        let at = peak.correction;
+        let pose = corrected(&prior.pose, [at.x_m, at.y_m, at.yaw_rad]);
+        let score = field.slope(points, &pose, prior.scale).value / points.len().max(1) as f64;
+        Self { correction: at, score, information: Matrix3::zeros(), at_edge: peak.at_edge }
+    }
+}
+
+/// Climbs a hill with rigid points, ground metres in the body's frame: most of the way with a part of
+/// them, which shows it as well.
 #[must_use]
 pub fn climb(field: &Field, points: &[[f32; 3]], prior: &Prior, peak: &Peak) -> Summit {
-    let pose_of = |at: [f64; 3]| corrected(&prior.pose, at);
-    let slope_at = |at: [f64; 3]| field.slope(points, &pose_of(at), prior.scale);
-    let mut at = [peak.correction.x_m, peak.correction.y_m, peak.correction.yaw_rad];
-    let mut here = slope_at(at);
-    for _ in 0..MAX_STEPS {
-        let step = bounded(ascent(&here));
-        let Some((next, slope)) = uphill(at, here.value, step, slope_at) else { break };
-        (at, here) = (next, slope);
-        if small(step) {
-            break;
-        }
+    let from = [peak.correction.x_m, peak.correction.y_m, peak.correction.yaw_rad];
+    let mut some = [[0.0_f32; 3]; GUIDES];
+    let count = points.len().min(GUIDES);
+    for (i, guide) in some[..count].iter_mut().enumerate() {
+        *guide = points[i * points.len() / count];
     }
+    let (foot, _) = ascend(field, &some[..count], prior, from);
+    let (at, here) = ascend(field, points, prior, foot);
     Summit {
         correction: Pose2::new(at[0], at[1], wrap_angle(at[2])),
         score: here.value / points.len().max(1) as f64,
         information: -curvature(&here),
         at_edge: peak.at_edge,
     }
+}
+
+fn ascend(field: &Field, points: &[[f32; 3]], prior: &Prior, from: [f64; 3]) -> ([f64; 3], Slope) {
+    let slope_at = |at: [f64; 3]| field.slope(points, &corrected(&prior.pose, at), prior.scale);
+    let (mut at, mut here) = (from, slope_at(from));
+    for _ in 0..MAX_STEPS {
+        let step = bounded(ascent(&here));
+        // A step this small changes nothing: do not look where it leads.
+        if small(step) {
+            break;
+        }
+        let Some((next, slope)) = uphill(at, here.value, step, slope_at) else { break };
+        (at, here) = (next, slope);
+    }
+    (at, here)
 }
 
 fn corrected(prior: &Pose2, [x, y, yaw]: [f64; 3]) -> Pose2 {
@@ -196,6 +221,9 @@ impl Flexible {
         for _ in 0..MAX_STEPS {
             let Some(step) = here.step() else { break };
             let rigid = [step[0], step[1], step[2]];
+            if small([0, 1, 2].map(|i: usize| step[i] + 0.5 * step[i + 3])) && small(rigid) {
+                break;
+            }
             let excess = rigid.iter().zip(MAX_STEP).map(|(s, most)| (s / most).abs()).fold(1.0, f64::max);
             let step = step / excess;
             let Some((next, landscape)) = [1.0, 0.5, 0.25].into_iter().find_map(|share| {
@@ -206,9 +234,6 @@ impl Flexible {
                 break;
             };
             (at, here) = (next, landscape);
-            if small([step[0] + 0.5 * step[3], step[1] + 0.5 * step[4], step[2] + 0.5 * step[5]]) {
-                break;
-            }
         }
         // The reference time is the end of the batch: half the drift beyond its middle.
         let end = [0, 1, 2].map(|i: usize| at[i] + 0.5 * at[i + 3]);

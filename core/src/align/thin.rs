@@ -7,8 +7,10 @@ pub const BLOCK_M: f32 = 0.4;
 /// Thins points to one, their mean, for each block of a square grid.
 #[derive(Default)]
 pub struct Thinner {
-    /// For each block 1 + the index of its sum, 0 without any.
-    blocks: Vec<u32>,
+    /// For each block a number and the pass that wrote it: what another pass wrote counts as nothing,
+    /// so that nothing has to be wiped.
+    blocks: Vec<(u32, u32)>,
+    pass: u32,
     sums: Vec<[f32; 3]>,
 }
 
@@ -16,17 +18,15 @@ impl Thinner {
     /// Writes the means of the points in blocks of `block_m` into `out`: ground metres in the
     /// body's frame, and 1, the vote of each. Points farther than `reach_m` are left out.
     pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f32, block_m: f32, out: &mut Vec<[f32; 3]>) {
-        let grid = Grid::new(reach_m, block_m);
-        self.blocks.clear();
-        self.blocks.resize(grid.blocks(), 0);
+        let grid = self.begin(reach_m, block_m);
         self.sums.clear();
         for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
             let slot = &mut self.blocks[grid.block(x, y)];
-            if *slot == 0 {
+            if slot.1 != self.pass {
+                *slot = (self.sums.len() as u32, self.pass);
                 self.sums.push([0.0; 3]);
-                *slot = self.sums.len() as u32;
             }
-            let sum = &mut self.sums[*slot as usize - 1];
+            let sum = &mut self.sums[slot.0 as usize];
             *sum = [sum[0] + x, sum[1] + y, sum[2] + 1.0];
         }
         out.clear();
@@ -35,15 +35,25 @@ impl Thinner {
 
     /// Divides the vote of each block among the points in it. All must lie within `reach_m`.
     pub fn share_votes(&mut self, points: &mut [[f32; 3]], reach_m: f32, block_m: f32) {
-        let grid = Grid::new(reach_m, block_m);
-        self.blocks.clear();
-        self.blocks.resize(grid.blocks(), 0);
+        let grid = self.begin(reach_m, block_m);
         for [x, y, _] in points.iter() {
-            self.blocks[grid.block(*x, *y)] += 1;
+            let slot = &mut self.blocks[grid.block(*x, *y)];
+            *slot = if slot.1 == self.pass { (slot.0 + 1, self.pass) } else { (1, self.pass) };
         }
         for [x, y, vote] in points {
-            *vote = 1.0 / self.blocks[grid.block(*x, *y)] as f32;
+            *vote = 1.0 / self.blocks[grid.block(*x, *y)].0 as f32;
         }
+    }
+
+    fn begin(&mut self, reach_m: f32, block_m: f32) -> Grid {
+        let grid = Grid::new(reach_m, block_m);
+        let (next, wrapped) = self.pass.overflowing_add(1);
+        if wrapped || self.blocks.len() != grid.blocks() {
+            self.blocks.clear();
+            self.blocks.resize(grid.blocks(), (0, 0));
+        }
+        self.pass = next.max(1);
+        grid
     }
 }
 

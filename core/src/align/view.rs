@@ -47,8 +47,10 @@ impl MapView {
         self.tiles.clear();
         self.tiles.extend_from_slice(tiles);
         let coarse_side = frame.side / COARSE;
-        reset(&mut self.fine, frame.side * frame.side + PADDING);
-        reset(&mut self.coarse, coarse_side * coarse_side + PADDING);
+        // Tiles that are all there overwrite everything.
+        let whole = frame.tiles().count() == tiles.len();
+        reset(&mut self.fine, frame.side * frame.side + PADDING, whole);
+        reset(&mut self.coarse, coarse_side * coarse_side + PADDING, whole);
         for tile in tiles {
             let first = tile.id.first_cell();
             let at = [first.x - frame.origin.x, first.y - frame.origin.y];
@@ -103,9 +105,11 @@ impl MapView {
     }
 }
 
-fn reset(image: &mut Vec<u8>, len: usize) {
-    image.clear();
-    image.resize(len, 0);
+fn reset(image: &mut Vec<u8>, len: usize, keep: bool) {
+    if !keep || image.len() != len {
+        image.clear();
+        image.resize(len, 0);
+    }
 }
 
 /// Copies the part of a square image that lies on another one; `at` is where its first value goes.

@@ -207,7 +207,8 @@ mod tests {
         let weights = TileWeights::new(id(), |at| (at == id()).then_some(&hit));
         let at = |x: usize, y: usize| weights.fine()[y * 512 + x];
         assert_eq!(weights.fine().iter().max(), Some(&at(20, 30)));
-        assert_eq!((at(18, 30), at(20, 28)), (at(22, 30), at(20, 32)));
+        // A kernel's centre is rounded to an eighth of a cell.
+        assert!(at(18, 30).abs_diff(at(22, 30)) <= 2 && at(20, 28).abs_diff(at(20, 32)) <= 2);
         assert!(at(20, 30) > at(22, 30) && at(22, 30) > at(24, 30) && at(40, 30) == 0);
         assert!(weights.coarse()[7 * 128 + 5] > 0);
     }

@@ -17,8 +17,10 @@ use crate::pose::Pose2;
 const WIDE: usize = 32;
 /// Shifts to a strip around a hill.
 const NARROW: usize = 16;
-/// Points that a scan of all hypotheses looks at, at most.
-const SCANNED: usize = 1000;
+/// Points that a scan of all hypotheses looks at, at most, or little more.
+const SCANNED: usize = 600;
+/// Points that the search around a hill looks at, at most, or little more.
+const SHARPENED: usize = 1000;
 /// Hypotheses of a scan of the coarse image beyond which a coarser one is scanned before it.
 const MANY: usize = 60_000;
 /// Hills that are kept from the coarser image.
@@ -88,7 +90,7 @@ impl Fast {
         self.best.resize(width * width, (0, 0));
         self.sums.resize(width, [0; WIDE]);
         let strips = Strips::<WIDE> { image: shown.image, stride: shown.side, rows: width };
-        let stride = question.thinned.len().div_ceil(SCANNED).max(1);
+        let stride = (question.thinned.len() / SCANNED).max(1);
         for turn in -turns..=turns {
             let turn = turn * step as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
@@ -152,11 +154,12 @@ impl Fast {
         let (from, yaw_step) = (peak.correction, question.lattice.yaw_step_rad);
         let pixel_m = shown.cells as f64 * CELL_M;
         let turn = (from.yaw_rad / yaw_step).round() as i32;
+        let stride = (question.thinned.len() / SHARPENED).max(1);
         let mut sums = [[0_u32; NARROW]; NARROW];
         peak.score = 0;
         for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {
             let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * yaw_step);
-            let points = question.thinned.iter().map(|[x, y, _]| [*x, *y]);
+            let points = question.thinned.iter().step_by(stride).map(|[x, y, _]| [*x, *y]);
             let (prior, reach_m) = (question.prior, question.search.extent_m);
             places(shown, prior, at, points, reach_m, around.pixels, &mut self.places);
             sums.fill([0; NARROW]);
