@@ -68,6 +68,13 @@ impl Trajectory {
         self.pose.drain(..from);
     }
 
+    /// Forgets poses newer than `time_us`, keeping the first one after it for interpolation.
+    pub fn trim_after(&mut self, time_us: i64) {
+        let until = self.time_us.partition_point(|t| *t < time_us) + 1;
+        self.time_us.truncate(until);
+        self.pose.truncate(until);
+    }
+
     /// The pose at a time within the trajectory; `None` outside it.
     #[must_use]
     pub fn at(&self, time_us: i64) -> Option<Pose2> {

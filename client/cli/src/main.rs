@@ -18,8 +18,8 @@ mod contribute;
 mod evaluate;
 mod fixes;
 mod progress;
-mod service;
 mod report;
+mod service;
 mod statistics;
 
 use std::process::ExitCode;

@@ -20,10 +20,10 @@ pub use config::{AlertLimits, Config, Drift};
 pub use verdict::{Fix, Rejection};
 
 use echofix_core::batch::Dropped;
-use echofix_core::drive::GeoPose;
-use echofix_core::geo;
 use echofix_core::doppler::dedrift::dedrifted;
 use echofix_core::doppler::ego::EgoConfig;
+use echofix_core::drive::GeoPose;
+use echofix_core::geo;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
@@ -204,7 +204,13 @@ impl Vehicle {
         let odometry = self.window.at(time_us).ok_or(NotReady::NoOdometry)?;
         let anchor = self.anchor.ok_or(NotReady::NoPrior)?;
         let prior = anchor.carried(time_us, odometry, &self.config.drift)?;
-        let batch = self.batch(first.time_us, time_us);
+        let poses = self.corrected(first.time_us, time_us);
+        // The service goes by the corrected odometry, too.
+        let least_mps = self.config.gate.min_speed_mps;
+        if let Some(slow) = poses.velocity_at(time_us).filter(|v| v.speed_mps() < least_mps) {
+            return Err(NotReady::TooSlow { speed_mps: slow.speed_mps() });
+        }
+        let batch = self.batch(&poses, time_us);
         let request = v1::LocalizeRequest {
             batch: Some(batch),
             prior: Some(self.prior(&prior)),
@@ -252,12 +258,7 @@ impl Vehicle {
         (self.anchor, self.ahead, self.last_fix_us) = (None, None, None);
     }
 
-    fn batch(&self, from_us: i64, to_us: i64) -> v1::Batch {
-        // One pose beyond each end, so that the ends can be interpolated.
-        let mut poses = self.window.odometry().clone();
-        poses.trim_before(from_us);
-        let until = poses.iter().position(|(t, _)| t >= to_us).map_or(poses.len(), |i| i + 1);
-        let poses = self.corrected(poses.iter().take(until));
+    fn batch(&self, poses: &Trajectory, to_us: i64) -> v1::Batch {
         v1::Batch {
             reference_time_us: to_us,
             mounts: self.window.mounts().iter().map(wire::mount).collect(),
@@ -267,11 +268,11 @@ impl Vehicle {
     }
 
     /// The odometry of a batch, corrected by what the radars say of the own velocity.
-    fn corrected(&self, poses: impl Iterator<Item = (i64, Pose2)>) -> Trajectory {
-        let mut odometry = Trajectory::default();
-        for (time_us, pose) in poses {
-            odometry.push(time_us, pose).expect("they came in order from a trajectory");
-        }
+    fn corrected(&self, from_us: i64, to_us: i64) -> Trajectory {
+        // One pose beyond each end, so that the ends can be interpolated.
+        let mut odometry = self.window.odometry().clone();
+        odometry.trim_before(from_us);
+        odometry.trim_after(to_us);
         let Some(bias) = self.config.odometry_bias else { return odometry };
         let mounts = self.window.mounts();
         let corrected = dedrifted(self.window.scans(), mounts, &odometry, &EgoConfig::default(), &bias);

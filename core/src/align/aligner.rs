@@ -59,13 +59,18 @@ pub struct Aligner {
 
 impl Aligner {
     /// Finds the pose of a batch on the map: search, climb, verdict.
-    pub fn align(&mut self, task: &Task, kind: EngineKind, search: &Search, integrity: &Integrity) -> Alignment {
+    pub fn align(
+        &mut self,
+        task: &Task,
+        kind: EngineKind,
+        search: &Search,
+        integrity: &Integrity,
+    ) -> Alignment {
         let Task { batch, prior, .. } = *task;
         self.view.show(task.frame, task.tiles);
         self.thinner.thin(&batch.points, search.extent_m as f32, BLOCK_M, &mut self.thinned);
         let lattice = Lattice::of(prior, search);
-        let question =
-            Question { view: &self.view, batch, thinned: &self.thinned, prior, search, lattice };
+        let question = Question { view: &self.view, batch, thinned: &self.thinned, prior, search, lattice };
         let engine: &mut dyn Engine = match kind {
             EngineKind::Fast => &mut self.fast,
             EngineKind::Bounded => &mut **self.bounded.get_or_insert_default(),
@@ -76,13 +81,9 @@ impl Aligner {
         climbed(&field, &self.thinned, prior, &self.peaks, &mut self.summits);
         let rigid = self.summits.first().copied();
         self.flexible.take(batch, search, BLOCK_M);
-        let answer = rigid.map(|summit| self.flexible.climb(&field.sharpened(), prior, &summit, &search.drift));
-        let case = Case {
-            question: &question,
-            field: &field,
-            answer,
-            summits: &self.summits,
-        };
+        let answer =
+            rigid.map(|summit| self.flexible.climb(&field.sharpened(), prior, &summit, &search.drift));
+        let case = Case { question: &question, field: &field, answer, summits: &self.summits };
         case.judge(integrity)
     }
 }

@@ -29,12 +29,33 @@ pub fn places(
     let (side, lag) = (image.side as u32, lag as u32);
     let reach_sq = (reach_m * reach_m) as f32;
     out.clear();
-    out.extend(points.filter_map(|[px, py]| {
-        let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
-        let inside = px * px + py * py <= reach_sq && x >= low && x < high && y >= low && y < high;
-        inside.then(|| (y as u32 - lag) * side + x as u32 - lag)
-    }));
+    let mut points = points;
+    loop {
+        // Side by side, so that all but the last loop is vectorised.
+        let (mut px, mut py, mut count) = ([0.0_f32; LANES], [0.0_f32; LANES], 0);
+        for ([x, y], point) in px.iter_mut().zip(&mut py).map(|(x, y)| [x, y]).zip(points.by_ref()) {
+            [*x, *y] = point;
+            count += 1;
+        }
+        let (mut index, mut inside) = ([0_u32; LANES], [false; LANES]);
+        for i in 0..LANES {
+            let (x, y) = (x0 + c * px[i] - s * py[i], y0 + s * px[i] + c * py[i]);
+            let near = px[i] * px[i] + py[i] * py[i] <= reach_sq;
+            inside[i] = near & (x >= low) & (x < high) & (y >= low) & (y < high);
+            let (column, row) = (x as i32 as u32, y as i32 as u32);
+            index[i] = row.wrapping_sub(lag).wrapping_mul(side).wrapping_add(column).wrapping_sub(lag);
+        }
+        out.extend(
+            index[..count].iter().zip(&inside).filter(|(_, inside)| **inside).map(|(index, _)| *index),
+        );
+        if count < LANES {
+            break;
+        }
+    }
 }
+
+/// Points that are placed side by side.
+const LANES: usize = 16;
 
 /// Which pixels of an image were met before.
 #[derive(Default)]

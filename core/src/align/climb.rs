@@ -18,7 +18,7 @@ const CONVERGED: [f64; 3] = [0.003, 0.003, 0.000_1];
 const GUIDES: usize = 640;
 const MAX_STEPS: usize = 8;
 /// Seconds over which odometry is taken as rigid.
-const STRETCH_S: f64 = 0.5;
+const STRETCH_S: f64 = 1.0;
 /// Degrees of freedom of the drift's prior, a Student-t: most odometry drifts little, some much.
 const TAIL: f64 = 3.0;
 
@@ -213,7 +213,8 @@ impl Flexible {
     /// Climbs on from a rigid summit. The answer is the pose at the reference time.
     #[must_use]
     pub fn climb(&self, field: &Field, prior: &Prior, from: &Summit, drift: &DriftPrior) -> Summit {
-        let sigma = [drift.position_mps, drift.position_mps, drift.yaw_radps].map(|s| s * self.duration_s.max(0.1));
+        let sigma =
+            [drift.position_mps, drift.position_mps, drift.yaw_radps].map(|s| s * self.duration_s.max(0.1));
         let stiff = sigma.map(|s| drift.temperature / (s * s));
         let start = from.correction;
         let mut at = Vector6::from([start.x_m, start.y_m, start.yaw_rad, 0.0, 0.0, 0.0]);
@@ -245,7 +246,14 @@ impl Flexible {
         }
     }
 
-    fn landscape(&self, field: &Field, prior: &Prior, at: &Vector6, stiff: [f64; 3], temperature: f64) -> Landscape {
+    fn landscape(
+        &self,
+        field: &Field,
+        prior: &Prior,
+        at: &Vector6,
+        stiff: [f64; 3],
+        temperature: f64,
+    ) -> Landscape {
         let middle = corrected(&prior.pose, [at[0], at[1], at[2]]);
         let (s, c) = middle.yaw_rad.sin_cos();
         let (s, c) = (s * prior.scale, c * prior.scale);

@@ -36,7 +36,12 @@ impl<'a> Field<'a> {
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
         let frame = view.frame();
-        Self { image: view.fine().image, side: frame.side, origin: frame.to_metres([0.0, 0.0]), curve: [1.0, 0.0] }
+        Self {
+            image: view.fine().image,
+            side: frame.side,
+            origin: frame.to_metres([0.0, 0.0]),
+            curve: [1.0, 0.0],
+        }
     }
 
     /// The same map with its weights squared: where clutter counts for little, for the last centimetres.
@@ -107,12 +112,7 @@ impl<'a> Field<'a> {
 
     /// Only the score, each point at its nearest cell: for comparing far poses.
     #[must_use]
-    pub fn value<'p>(
-        &self,
-        points: impl IntoIterator<Item = &'p [f32; 3]>,
-        pose: &Pose2,
-        scale: f64,
-    ) -> f64 {
+    pub fn value<'p>(&self, points: impl IntoIterator<Item = &'p [f32; 3]>, pose: &Pose2, scale: f64) -> f64 {
         let per_metre = 1.0 / CELL_M;
         let x0 = ((pose.x_m - self.origin[0]) * per_metre) as f32;
         let y0 = ((pose.y_m - self.origin[1]) * per_metre) as f32;

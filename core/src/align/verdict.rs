@@ -217,7 +217,8 @@ impl Case<'_> {
         let sample: Vec<_> = thinned.iter().step_by(thinned.len() / SAMPLE + 1).collect();
         let step = lattice.half_widths().0.max(1.0) / f64::from(LATTICE);
         let shifts = (-LATTICE..=LATTICE).flat_map(|i| (-LATTICE..=LATTICE).map(move |j| (i, j)));
-        let pose = |(i, j)| corrected(&prior.pose, &Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
+        let pose =
+            |(i, j)| corrected(&prior.pose, &Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
         let (mut sum, mut count) = (0.0, 0.0);
         for shift in shifts {
             sum += self.field.value(sample.iter().copied(), &pose(shift), prior.scale);
@@ -361,16 +362,12 @@ pub(super) mod tests {
         };
         assert_eq!(judged(|_| ()), Verdict::Usable);
         assert_eq!(verdict(&answer(), true, &checks), Verdict::PriorOutsideSearch);
-        assert!(matches!(
-            judged(|a| a.thinned_points = 10),
-            Verdict::TooLittleStructure { points: 10, .. }
-        ));
+        assert!(matches!(judged(|a| a.thinned_points = 10), Verdict::TooLittleStructure { points: 10, .. }));
         assert!(matches!(judged(|a| a.coverage = 0.1), Verdict::TooLittleMap { .. }));
         assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::MapStale { .. }));
         assert!(matches!(judged(|a| a.contrast = 1.0), Verdict::Lost { .. }));
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
-        let aside =
-            judged(|a| (a.margin, a.alternatives[0]) = (1.0, (Pose2::new(0.0, 5.0, 0.0), 0.99)));
+        let aside = judged(|a| (a.margin, a.alternatives[0]) = (1.0, (Pose2::new(0.0, 5.0, 0.0), 0.99)));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);

@@ -147,7 +147,10 @@ mod tests {
         view.show(frame, std::slice::from_ref(&weights));
         let first = id.first_cell();
         for (index, value) in weights.fine().iter().enumerate() {
-            let (x, y) = (first.x + index as i64 % 512 - frame.origin.x, first.y + index as i64 / 512 - frame.origin.y);
+            let (x, y) = (
+                first.x + index as i64 % 512 - frame.origin.x,
+                first.y + index as i64 / 512 - frame.origin.y,
+            );
             let side = frame.side as i64;
             if (0..side).contains(&x) && (0..side).contains(&y) {
                 assert_eq!(view.fine().image[(y * side + x) as usize], *value);

@@ -196,8 +196,12 @@ mod tests {
     }
 
     fn tile(cells: &[(u32, [u32; 2])]) -> Tile {
-        let cell =
-            |offset: [u32; 2]| Cell { hits: 4, passes: 1, offset_sum: offset.map(|o| 4 * o), ..Cell::default() };
+        let cell = |offset: [u32; 2]| Cell {
+            hits: 4,
+            passes: 1,
+            offset_sum: offset.map(|o| 4 * o),
+            ..Cell::default()
+        };
         Tile::from_cells(cells.iter().map(|(index, offset)| (*index, cell(*offset))).collect()).unwrap()
     }
 

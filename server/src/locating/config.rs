@@ -1,7 +1,7 @@
 //! How to locate.
 
-use echofix_core::align::{EngineKind, Search};
 use echofix_core::align::verdict::Integrity;
+use echofix_core::align::{EngineKind, Search};
 use echofix_core::scan::Gate;
 use serde::{Deserialize, Serialize};
 

@@ -234,7 +234,8 @@ impl Locator {
     ) -> Result<bool, Refusal> {
         let place = self.place(question)?;
         let found = self.tiles.get(&*self.store, place.frame).map_err(Refusal::Store)?;
-        let task = Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
+        let task =
+            Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
         let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < CONFIRMED_WITHIN_M)
@@ -262,7 +263,12 @@ impl Locator {
     }
 
     /// Tiles, alignment, bounds; blocks.
-    fn answer(&self, question: &Question, aligner: &mut Aligner, queued: Duration) -> Result<Answer, Refusal> {
+    fn answer(
+        &self,
+        question: &Question,
+        aligner: &mut Aligner,
+        queued: Duration,
+    ) -> Result<Answer, Refusal> {
         let Place { grid, prior, frame } = self.place(question)?;
         let fetching = Instant::now();
         let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
@@ -331,7 +337,8 @@ impl Locator {
         aligner: &mut Aligner,
     ) -> Result<Option<Alignment>, Refusal> {
         let astray = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
-        let late = question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
+        let late =
+            question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
         let (search, integrity) = (self.config.search(), self.config.integrity());
         if !astray || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
             return Ok(None);

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use echofix_core::align::fft::Plans;
 pub use echofix_core::align::Prior;
-use echofix_core::align::verdict::{Integrity, Verdict};
+use echofix_core::align::climb::DriftPrior;
+use echofix_core::align::fft::Plans;
 use echofix_core::align::image::MapImage;
+use echofix_core::align::verdict::{Integrity, Verdict};
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Lattice, Search, Task, Workspace, fast_global_align};
 use echofix_core::batch::Batch;
@@ -71,6 +72,12 @@ pub enum Name {
     Paper,
     /// The service's.
     Echofix,
+    /// The same with the exact maximum, by bounds.
+    Exact,
+    /// The same with odometry taken as rigid over a batch.
+    Rigid,
+    /// The same without radial speeds: movers stay, and odometry is not corrected.
+    NoDoppler,
 }
 
 impl Name {
@@ -79,7 +86,14 @@ impl Name {
         let windows = Arc::clone(windows);
         match self {
             Self::Paper => Box::new(Paper { windows, workspace: Workspace::default() }),
-            Self::Echofix => Box::new(Echofix { windows, aligner: Aligner::default() }),
+            Self::Echofix => Box::new(Echofix::new(self, windows)),
+            Self::Exact => Box::new(Echofix { engine: EngineKind::Bounded, ..Echofix::new(self, windows) }),
+            Self::Rigid => {
+                let mut rigid = Echofix::new(self, windows);
+                rigid.search.drift = DriftPrior { position_mps: 1e-5, yaw_radps: 1e-6, ..rigid.search.drift };
+                Box::new(rigid)
+            }
+            Self::NoDoppler => Box::new(Echofix { movers: Movers::Kept, ..Echofix::new(self, windows) }),
         }
     }
 }
@@ -116,8 +130,7 @@ impl Windows {
     /// The paper's occupancy grid around a prior, transformed.
     fn occupancy(&self, map: &RadarMap, frame: Frame) -> Arc<MapImage> {
         let model = InverseSensorModel::default();
-        let prepare =
-            || Arc::new(MapImage::of_evidence(&map.window(frame), &model, self.plans(frame.side)));
+        let prepare = || Arc::new(MapImage::of_evidence(&map.window(frame), &model, self.plans(frame.side)));
         self.images.get_with((map.key, frame), prepare)
     }
 
@@ -174,28 +187,45 @@ impl Method for Paper {
     }
 }
 
-/// What the service answers.
+/// What the service answers, whole or with a step left out.
 struct Echofix {
+    name: Name,
     windows: Arc<Windows>,
     aligner: Aligner,
+    engine: EngineKind,
+    search: Search,
+    movers: Movers,
+}
+
+impl Echofix {
+    fn new(name: Name, windows: Arc<Windows>) -> Self {
+        let search = windows.search;
+        let (engine, movers) = (EngineKind::Fast, Movers::Dropped);
+        Self { name, windows, aligner: Aligner::default(), engine, search, movers }
+    }
 }
 
 impl Method for Echofix {
     fn name(&self) -> &'static str {
-        "echofix"
+        match self.name {
+            Name::Paper | Name::Echofix => "echofix",
+            Name::Exact => "exact",
+            Name::Rigid => "rigid",
+            Name::NoDoppler => "no doppler",
+        }
     }
 
     fn movers(&self) -> Movers {
-        Movers::Dropped
+        self.movers
     }
 
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
-        let (search, integrity) = (self.windows.search, Integrity::default());
+        let integrity = Integrity::default();
         let frame = self.windows.frame(map, prior);
         let tiles = self.windows.weights(map, frame);
         let began = Instant::now();
         let task = Task { frame, tiles: &tiles, batch, prior };
-        let answer = self.aligner.align(&task, EngineKind::Fast, &search, &integrity);
+        let answer = self.aligner.align(&task, self.engine, &self.search, &integrity);
         let elapsed = began.elapsed();
         let levels = answer.protection(&integrity, RISK);
         let finite = answer.covariance.iter().flatten().all(|v| v.is_finite());

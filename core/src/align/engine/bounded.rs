@@ -138,9 +138,7 @@ impl Bounded {
     fn refresh(&mut self, question: &Question) {
         let (frame, tiles) = (question.view.frame(), question.view.tiles());
         let same = self.of.as_ref().is_some_and(|(of, old)| {
-            *of == frame
-                && old.len() == tiles.len()
-                && old.iter().zip(tiles).all(|(a, b)| Arc::ptr_eq(a, b))
+            *of == frame && old.len() == tiles.len() && old.iter().zip(tiles).all(|(a, b)| Arc::ptr_eq(a, b))
         });
         if !same {
             bounds(&question.view.fine(), &mut self.bounds);

@@ -136,7 +136,11 @@ impl Fast {
             let shift = |i: usize| (i as f64 - lag as f64) * pixel_m;
             let yaw_rad = f64::from(turn) * question.lattice.yaw_step_rad;
             let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
-            peaks.push(Peak { correction: Pose2::new(shift(column), shift(row), yaw_rad), score: sum, at_edge });
+            peaks.push(Peak {
+                correction: Pose2::new(shift(column), shift(row), yaw_rad),
+                score: sum,
+                at_edge,
+            });
         }
     }
 
@@ -154,7 +158,7 @@ impl Fast {
         let (from, yaw_step) = (peak.correction, question.lattice.yaw_step_rad);
         let pixel_m = shown.cells as f64 * CELL_M;
         let turn = (from.yaw_rad / yaw_step).round() as i32;
-        let stride = (question.thinned.len() / SHARPENED).max(1);
+        let stride = question.thinned.len().div_ceil(SHARPENED).max(1);
         let mut sums = [[0_u32; NARROW]; NARROW];
         peak.score = 0;
         for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {
@@ -169,7 +173,8 @@ impl Fast {
                     if *sum > peak.score {
                         let shift = |i: usize| (i as f64 - around.pixels as f64) * pixel_m;
                         let yaw_rad = f64::from(turn) * yaw_step;
-                        peak.correction = Pose2::new(from.x_m + shift(column), from.y_m + shift(row), yaw_rad);
+                        peak.correction =
+                            Pose2::new(from.x_m + shift(column), from.y_m + shift(row), yaw_rad);
                         peak.score = *sum;
                     }
                 }

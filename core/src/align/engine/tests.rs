@@ -113,8 +113,7 @@ fn top(engine: &mut dyn Engine, scene: &Scene) -> (u32, Pose2) {
 
 #[test]
 fn exact_engines_find_the_maximum_of_the_reference() {
-    let (mut reference, mut fft, mut bounded) =
-        (Reference::default(), Fft::default(), Bounded::default());
+    let (mut reference, mut fft, mut bounded) = (Reference::default(), Fft::default(), Bounded::default());
     for seed in 0..1000 {
         let scene = Scene::new(seed);
         let expected = top(&mut reference, &scene);

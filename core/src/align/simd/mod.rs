@@ -53,8 +53,7 @@ impl Isa {
     /// The fastest that this processor has.
     #[must_use]
     pub fn best() -> Self {
-        static BEST: LazyLock<Isa> =
-            LazyLock::new(|| Isa::available().last().copied().unwrap_or(Isa::PLAIN));
+        static BEST: LazyLock<Isa> = LazyLock::new(|| Isa::available().last().copied().unwrap_or(Isa::PLAIN));
         *BEST
     }
 

@@ -41,7 +41,6 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
         }
     }
 
-
     #[inline(always)]
     fn add_rows<const N: usize>(&self, places: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
         let mut short = [[0_u16; WIDTH]; N];

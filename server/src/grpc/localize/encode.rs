@@ -146,9 +146,10 @@ fn refused_by(verdict: &Verdict) -> (FixStatus, String) {
             FixStatus::AmbiguousAlongTrack,
             format!("another pose along the street scores {:.0} % of this one", percent(relative_score)),
         ),
-        Verdict::Ambiguous { relative_score, along_track: false, .. } => {
-            (FixStatus::Ambiguous, format!("another pose scores {:.0} % of this one", percent(relative_score)))
-        }
+        Verdict::Ambiguous { relative_score, along_track: false, .. } => (
+            FixStatus::Ambiguous,
+            format!("another pose scores {:.0} % of this one", percent(relative_score)),
+        ),
         Verdict::TooLittleStructure { points, sigma_m } if !sigma_m.is_finite() => (
             FixStatus::TooLittleStructure,
             format!("nothing in the batch's {points} blocks of detections holds the pose in some direction"),
@@ -159,7 +160,10 @@ fn refused_by(verdict: &Verdict) -> (FixStatus, String) {
         ),
         Verdict::MapStale { matched_fraction } => (
             FixStatus::MapStale,
-            format!("the place is clear, but only {:.0} % of the batch is in the map", percent(matched_fraction)),
+            format!(
+                "the place is clear, but only {:.0} % of the batch is in the map",
+                percent(matched_fraction)
+            ),
         ),
         Verdict::PriorOutsideSearch => (
             FixStatus::PriorOutsideSearch,
