@@ -41,7 +41,7 @@ pub fn places(
         for i in 0..LANES {
             let (x, y) = (x0 + c * px[i] - s * py[i], y0 + s * px[i] + c * py[i]);
             let near = px[i] * px[i] + py[i] * py[i] <= reach_sq;
-            inside[i] = near & (x >= low) & (x < high) & (y >= low) & (y < high);
+            inside[i] = near && x >= low && x < high && y >= low && y < high;
             let (column, row) = (x as i32 as u32, y as i32 as u32);
             index[i] = row.wrapping_sub(lag).wrapping_mul(side).wrapping_add(column).wrapping_sub(lag);
         }

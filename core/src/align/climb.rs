@@ -97,15 +97,13 @@ fn curvature(slope: &Slope) -> Matrix3<f64> {
 /// Newton's step where the score is a summit's, else one along the slope.
 fn ascent(slope: &Slope) -> [f64; 3] {
     let gradient = nalgebra::Vector3::from(slope.gradient);
-    match (-curvature(slope)).cholesky() {
-        Some(cholesky) => cholesky.solve(&gradient).into(),
-        None => {
-            // As long as the longest step, in the metric of the longest steps.
-            let scaled = [0, 1, 2].map(|i: usize| slope.gradient[i] * MAX_STEP[i]);
-            let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
-            [0, 1, 2].map(|i: usize| 0.5 * MAX_STEP[i] * scaled[i] / norm)
-        }
+    if let Some(cholesky) = (-curvature(slope)).cholesky() {
+        return cholesky.solve(&gradient).into();
     }
+    // As long as half the longest step, in the metric of the longest steps.
+    let scaled = [0, 1, 2].map(|i: usize| slope.gradient[i] * MAX_STEP[i]);
+    let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+    [0, 1, 2].map(|i: usize| 0.5 * MAX_STEP[i] * scaled[i] / norm)
 }
 
 fn bounded(step: [f64; 3]) -> [f64; 3] {
@@ -202,12 +200,6 @@ impl Flexible {
             }
             from = stretch.end;
         }
-    }
-
-    /// Points taken.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.points.len()
     }
 
     /// Climbs on from a rigid summit. The answer is the pose at the reference time.

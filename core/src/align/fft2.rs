@@ -35,7 +35,9 @@ impl Fft2 {
     pub fn inverse(&self, spectrum: &mut [Complex64]) {
         self.both_ways(&*self.inverse, spectrum);
         let scale = 1.0 / (self.side * self.side) as f64;
-        spectrum.iter_mut().for_each(|v| *v *= scale);
+        for value in spectrum {
+            *value *= scale;
+        }
     }
 
     /// The spectrum of an image that is turned about the array's origin (`rotate2` of fastGlobalAlign

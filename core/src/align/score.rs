@@ -79,6 +79,7 @@ impl<'a> Field<'a> {
     }
 
     /// The 3 x 3 weights around each point of a block; 0 at the image's border and beyond.
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn patches(&self, points: &[[f32; 3]], [x0, y0]: [f32; 2], [s, c]: [f32; 2]) -> Patches {
         let mut p = Patches::default();
@@ -141,6 +142,7 @@ struct Sums<'a> {
 impl Kernel for Sums<'_> {
     type Out = [f32; TERMS];
 
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn run(self) -> [f32; TERMS] {
         let mut sums = [[0.0_f32; LANES]; TERMS];
@@ -175,7 +177,9 @@ struct Patches {
 }
 
 impl Patches {
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
+    #[expect(clippy::needless_range_loop, reason = "lanes of several arrays side by side")]
     fn add_terms(&self, [plain, square]: [f32; 2], sums: &mut [[f32; LANES]; TERMS]) {
         for i in 0..LANES {
             let ((bx, dx), (by, dy)) = (spline(self.fx[i]), spline(self.fy[i]));
@@ -203,6 +207,7 @@ impl Patches {
 }
 
 /// Taps of the quadratic B-spline, and of its slope, at `f` in [-1/2, 1/2] from the middle sample.
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
 #[inline(always)]
 fn spline(f: f32) -> ([f32; 3], [f32; 3]) {
     let (low, high) = (0.5 - f, 0.5 + f);

@@ -25,7 +25,7 @@ pub const STEPS: f32 = 28.0;
 /// Cells along the side of a coarse cell.
 pub const COARSE: usize = 4;
 
-const SIDE: usize = CELLS_PER_TILE as usize;
+const SIDE: usize = CELLS_PER_TILE;
 /// Cells beyond a tile's border whose hits still count within it.
 const HALO: i64 = (REACH_SIGMAS * SIGMA_M / CELL_M) as i64 + 1;
 

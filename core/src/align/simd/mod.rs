@@ -19,7 +19,7 @@ pub struct Isa(Set);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Set {
-    /// Whatever every processor of the architecture has; on AArch64 that includes NEON.
+    /// Whatever every processor of the architecture has; on `AArch64` that includes NEON.
     Plain,
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -101,6 +101,7 @@ mod tests {
     impl Kernel for Twice {
         type Out = u32;
 
+        #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
         #[inline(always)]
         fn run(self) -> u32 {
             2 * self.0

@@ -41,6 +41,7 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
         }
     }
 
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn add_rows<const N: usize>(&self, places: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
         let mut short = [[0_u16; WIDTH]; N];
@@ -73,6 +74,7 @@ struct Block<'a, const WIDTH: usize> {
 impl<const WIDTH: usize> Kernel for Block<'_, WIDTH> {
     type Out = ();
 
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn run(self) {
         let mut groups = self.sums.chunks_exact_mut(ROWS);
@@ -88,6 +90,7 @@ impl<const WIDTH: usize> Kernel for Block<'_, WIDTH> {
     }
 }
 
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
 #[inline(always)]
 fn added<const WIDTH: usize>(mut sums: [u16; WIDTH], strip: [u8; WIDTH]) -> [u16; WIDTH] {
     for i in 0..WIDTH {
