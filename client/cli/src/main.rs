@@ -5,7 +5,7 @@
 //! - [`evaluate`]: the paper's experiments in one process.
 //! - [`fixes`]: a drive asks where it is, and the answers are compared with the truth.
 //! - [`service`]: the service as a process of its own.
-//! - [`bench`]: what a fix costs on this machine.
+//! - [`mod@bench`]: what a fix costs on this machine.
 //! - [`report`]: generated sections of written pages.
 //! - [`statistics`]: percentiles and the table beside the paper's figures.
 //! - [`progress`]: bars for people, silence for machines.

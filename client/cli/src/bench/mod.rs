@@ -6,7 +6,7 @@
 //! - [`inside`]: the same map and requests without sockets: where the time of one request goes.
 //! - [`engines`]: the alignment alone, by engine.
 //! - [`machine`]: what it all ran on, and what a process used of it.
-//! - [`page`]: the figures as a page; [`section`]: a part of a page that is written anew.
+//! - [`mod@page`]: the figures as a page; [`section`]: a part of a page that is written anew.
 //!
 //! The service is a process of its own: what it used is its own, and not the questioner's.
 
