@@ -58,8 +58,8 @@ impl Default for Integrity {
             score_temperature: 10.0,
             temperature: 2.0,
             map_pose_m: 0.1,
-            floor_m: 0.03,
-            floor_yaw_rad: 0.05_f64.to_radians(),
+            floor_m: 0.05,
+            floor_yaw_rad: 0.06_f64.to_radians(),
             tail: 1.3,
         }
     }

@@ -4,6 +4,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
+use anyhow::ensure;
 use echofix_core::align::engine::{self, Bounded, Fast, Fft, Question, Reference};
 use echofix_core::align::verdict::Integrity;
 use echofix_core::align::view::MapView;
@@ -38,8 +39,14 @@ pub struct Engine {
     pub identical: Option<(usize, usize)>,
 }
 
+/// Engines that must find the reference's maximum.
+const EXACT: [&str; 2] = ["fft", "bounded"];
+
 /// Times every engine on every case, so many times; the slow ones once.
-pub(super) fn measure(cases: &[Case], repetitions: usize) -> Vec<Engine> {
+///
+/// # Errors
+/// When an exact engine finds another maximum than the reference.
+pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<Engine>> {
     let engines: [(Box<dyn engine::Engine>, usize); 5] = [
         (Box::new(Reference::default()), 1),
         (Box::new(Reference::as_printed()), 1),
@@ -57,12 +64,19 @@ pub(super) fn measure(cases: &[Case], repetitions: usize) -> Vec<Engine> {
         let same = maxima.iter().zip(&found).filter(|(a, b)| a == b).count();
         // Coarse to fine counts thinned points: its maximum is not that of the same sum.
         let identical = (engine.name() != "fast").then_some((same, cases.len()));
+        let exact = !EXACT.contains(&engine.name()) || same == cases.len();
+        ensure!(
+            exact,
+            "{} found the reference's maximum in {same} of {} cases only",
+            engine.name(),
+            cases.len()
+        );
         push(&mut measured, engine.name().to_owned(), times, identical);
     }
     for (name, kind) in [("whole fix, fast", EngineKind::Fast), ("whole fix, bounded", EngineKind::Bounded)] {
         push(&mut measured, name.to_owned(), whole(cases, kind, repetitions), None);
     }
-    measured
+    Ok(measured)
 }
 
 fn push(measured: &mut Vec<Engine>, name: String, times: Vec<f64>, identical: Option<(usize, usize)>) {

@@ -138,7 +138,7 @@ pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Resu
     say("Steps and engines, in process.");
     let scene = inside::Scene::open(&town, folder)?;
     let inside = scene.profile(plan.repetitions).await?;
-    let engines = engines::measure(&scene.cases()?, plan.repetitions);
+    let engines = engines::measure(&scene.cases()?, plan.repetitions)?;
     let (error_m, usable_share) = sane(&fixes)?;
     let Town { street_km, .. } = town;
     let (machine, detections) = (Machine::here(), scene.detections());
