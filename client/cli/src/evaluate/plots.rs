@@ -60,14 +60,22 @@ pub fn ccdfs(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
                 .label_style(("sans-serif", 15))
                 .light_line_style(TRANSPARENT)
                 .draw()?;
-            let clipped = |curve: &Curve| {
-                let inside = curve.points.iter().copied().filter(|(x, y)| *x <= panel.x_max && *y >= 1e-3);
-                inside.collect::<Vec<_>>()
-            };
+            let clipped = |curve: &Curve| clipped(&curve.points, panel.x_max);
             lines(&mut chart, &panel.curves, clipped)?;
         }
         Ok(())
     })
+}
+
+/// What a panel shows of a curve: it runs on to the edge when there are errors beyond.
+fn clipped(points: &[(f64, f64)], x_max: f64) -> Vec<(f64, f64)> {
+    let beyond = points.partition_point(|(x, _)| *x <= x_max);
+    let mut inside = points[..beyond].to_vec();
+    if let (Some(&(_, share)), true) = (inside.last(), beyond < points.len()) {
+        inside.push((x_max, share));
+    }
+    inside.retain(|(_, share)| *share >= 1e-3);
+    inside
 }
 
 /// Detections against false alarms.
@@ -185,6 +193,14 @@ fn drawn(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_curve_runs_on_to_the_edge_of_its_panel() {
+        let points = [(0.1, 0.5), (0.9, 0.1), (4.0, 0.05), (5.0, 1e-4)];
+        assert_eq!(clipped(&points, 1.0), [(0.1, 0.5), (0.9, 0.1), (1.0, 0.1)]);
+        assert_eq!(clipped(&points, 6.0), points[..3]);
+        assert!(clipped(&[], 1.0).is_empty());
+    }
 
     #[test]
     fn figures_are_written_with_their_curves() {
