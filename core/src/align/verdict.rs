@@ -50,7 +50,7 @@ impl Default for Integrity {
         Self {
             min_points: 300,
             min_coverage: 0.7,
-            min_matched: 0.45,
+            min_matched: 0.35,
             matched_within_m: 0.3,
             min_contrast: 1.3,
             min_margin: 12.0,
