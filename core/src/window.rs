@@ -3,8 +3,6 @@
 //! Windows lie on a coarse lattice, so that requests from the same neighbourhood share one: its
 //! images and its spectrum are computed once.
 
-use std::collections::BTreeSet;
-
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
 use crate::tile::Tile;
@@ -108,58 +106,25 @@ pub struct Window {
     pub frame: Frame,
     /// Occupied cells.
     pub cells: Vec<WindowCell>,
-    /// Last UTC day anything was seen, counted from the Unix epoch; 0 when nothing was.
-    pub newest_day: u16,
-    present: BTreeSet<TileId>,
 }
 
 impl Window {
     /// Stitches a window from the tiles that exist in its square.
     #[must_use]
     pub fn stitch<'a>(frame: Frame, tiles: impl IntoIterator<Item = (TileId, &'a Tile)>) -> Self {
-        let mut window = Self { frame, cells: Vec::new(), newest_day: 0, present: BTreeSet::new() };
+        let mut cells = Vec::new();
         for (id, tile) in tiles {
-            window.newest_day = window.newest_day.max(tile.newest_day());
-            window.present.insert(id);
             let first = id.first_cell();
             let (dx, dy) = (first.x - frame.origin.x, first.y - frame.origin.y);
             let side = 0..frame.side as i64;
-            window.cells.extend(tile.cells().iter().filter_map(|(index, cell)| {
+            cells.extend(tile.cells().iter().filter_map(|(index, cell)| {
                 let x = dx + i64::from(*index) % CELLS_PER_TILE as i64;
                 let y = dy + i64::from(*index) / CELLS_PER_TILE as i64;
                 let inside = side.contains(&x) && side.contains(&y);
                 inside.then_some(WindowCell { x: x as u16, y: y as u16, cell: *cell })
             }));
         }
-        window
-    }
-
-    /// Number of tiles that exist in the square.
-    #[must_use]
-    pub fn tiles(&self) -> usize {
-        self.present.len()
-    }
-
-    /// Passes over the cell of a typical hit, 1 without hits: how many surveys the map here amounts to.
-    #[must_use]
-    pub fn typical_passes(&self) -> f64 {
-        let (mut hits, mut weighted) = (0.0, 0.0);
-        for WindowCell { cell, .. } in &self.cells {
-            hits += f64::from(cell.hits);
-            weighted += f64::from(cell.hits) * f64::from(cell.passes);
-        }
-        if hits > 0.0 { weighted / hits } else { 1.0 }
-    }
-
-    /// Share of points, map metres, that lie in a tile that exists; 0 without points.
-    #[must_use]
-    pub fn coverage(&self, points: impl IntoIterator<Item = [f64; 2]>) -> f64 {
-        let (mut covered, mut all) = (0_u32, 0_u32);
-        for point in points {
-            all += 1;
-            covered += u32::from(self.present.contains(&TileId::of(self.frame.zone, point)));
-        }
-        if all == 0 { 0.0 } else { f64::from(covered) / f64::from(all) }
+        Self { frame, cells }
     }
 }
 
@@ -203,15 +168,13 @@ mod tests {
         let index = ((cell.y - first.y) * 512 + (cell.x - first.x)) as u32;
         let tile = Tile::from_cells(vec![(
             index,
-            Cell { hits: 1, passes: 1, last_day: 9, offset_sum: [76, 179], ..Cell::default() },
+            Cell { hits: 1, passes: 1, offset_sum: [76, 179], ..Cell::default() },
         )])
         .unwrap();
         let frame = Frame::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
         let window = Window::stitch(frame, [(id, &tile)]);
         let [x, y] = frame.to_metres(window.cells[0].centroid());
         assert!((x - place[0]).abs() < 1e-3 && (y - place[1]).abs() < 1e-3, "{x} {y}");
-        assert_eq!((window.tiles(), window.newest_day), (1, 9));
-        assert!((window.coverage([place, [700_000.0, 3_300_000.0]]) - 0.5).abs() < 1e-12);
     }
 
     #[test]

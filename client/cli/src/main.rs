@@ -8,6 +8,7 @@
 //! - [`mod@bench`]: what a fix costs on this machine.
 //! - [`report`]: generated sections of written pages.
 //! - [`statistics`]: percentiles and the table beside the paper's figures.
+//! - [`machine`]: what figures were made on.
 //! - [`progress`]: bars for people, silence for machines.
 
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
@@ -17,6 +18,7 @@ mod commands;
 mod contribute;
 mod evaluate;
 mod fixes;
+mod machine;
 mod progress;
 mod report;
 mod service;

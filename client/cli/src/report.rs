@@ -39,16 +39,6 @@ pub fn write_section(path: &Path, name: &str, body: &str) -> anyhow::Result<()> 
     std::fs::write(path, page).with_context(|| format!("writing {}", path.display()))
 }
 
-/// The machine in words: its processor and how many cores it has.
-#[must_use]
-pub fn machine() -> String {
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
-    let model = model.map_or(std::env::consts::ARCH, |(_, model)| model.trim());
-    format!("{cores} cores of {model}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,10 +71,5 @@ mod tests {
         write_section(&path, "a", "one").unwrap();
         write_section(&path, "a", "two").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "<!-- a:begin -->\ntwo\n<!-- a:end -->\n");
-    }
-
-    #[test]
-    fn the_machine_has_cores() {
-        assert!(machine().contains(" cores of "), "{}", machine());
     }
 }

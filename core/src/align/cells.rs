@@ -14,7 +14,7 @@ pub fn places(
     image: &Shown,
     prior: &Prior,
     at: Pose2,
-    points: impl Iterator<Item = [f32; 2]>,
+    mut points: impl Iterator<Item = [f32; 2]>,
     reach_m: f64,
     lag: usize,
     out: &mut Vec<u32>,
@@ -29,7 +29,6 @@ pub fn places(
     let (side, lag) = (image.side as u32, lag as u32);
     let reach_sq = (reach_m * reach_m) as f32;
     out.clear();
-    let mut points = points;
     loop {
         // Side by side, so that all but the last loop is vectorised.
         let (mut px, mut py, mut count) = ([0.0_f32; LANES], [0.0_f32; LANES], 0);

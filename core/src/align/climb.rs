@@ -40,13 +40,20 @@ pub struct Summit {
 }
 
 impl Summit {
+    /// Where there is no hill at all: the prior itself, which nothing holds.
+    pub const NONE: Self = Self {
+        correction: Pose2::IDENTITY,
+        score: 0.0,
+        information: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        at_edge: false,
+    };
+
     /// The foot of a hill: as high as it was found.
     #[must_use]
     pub fn foot(field: &Field, points: &[[f32; 3]], prior: &Prior, peak: &Peak) -> Self {
-        let at = peak.correction;
-        let pose = corrected(&prior.pose, [at.x_m, at.y_m, at.yaw_rad]);
+        let pose = prior.corrected(&peak.correction);
         let score = field.slope(points, &pose, prior.scale).value / points.len().max(1) as f64;
-        Self { correction: at, score, information: Matrix3::zeros(), at_edge: peak.at_edge }
+        Self { correction: peak.correction, score, information: Matrix3::zeros(), at_edge: peak.at_edge }
     }
 }
 
@@ -71,7 +78,8 @@ pub fn climb(field: &Field, points: &[[f32; 3]], prior: &Prior, peak: &Peak) -> 
 }
 
 fn ascend(field: &Field, points: &[[f32; 3]], prior: &Prior, from: [f64; 3]) -> ([f64; 3], Slope) {
-    let slope_at = |at: [f64; 3]| field.slope(points, &corrected(&prior.pose, at), prior.scale);
+    let slope_at =
+        |[x, y, yaw]: [f64; 3]| field.slope(points, &prior.corrected(&Pose2::new(x, y, yaw)), prior.scale);
     let (mut at, mut here) = (from, slope_at(from));
     for _ in 0..MAX_STEPS {
         let step = bounded(ascent(&here));
@@ -83,10 +91,6 @@ fn ascend(field: &Field, points: &[[f32; 3]], prior: &Prior, from: [f64; 3]) -> 
         (at, here) = (next, slope);
     }
     (at, here)
-}
-
-fn corrected(prior: &Pose2, [x, y, yaw]: [f64; 3]) -> Pose2 {
-    Pose2::new(prior.x_m + x, prior.y_m + y, prior.yaw_rad + yaw)
 }
 
 fn curvature(slope: &Slope) -> Matrix3<f64> {
@@ -246,7 +250,7 @@ impl Flexible {
         stiff: [f64; 3],
         temperature: f64,
     ) -> Landscape {
-        let middle = corrected(&prior.pose, [at[0], at[1], at[2]]);
+        let middle = prior.corrected(&Pose2::new(at[0], at[1], at[2]));
         let (s, c) = middle.yaw_rad.sin_cos();
         let (s, c) = (s * prior.scale, c * prior.scale);
         let mut sum = Landscape::default();

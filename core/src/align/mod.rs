@@ -32,7 +32,7 @@ pub use aligner::{Aligner, EngineKind, Task};
 pub use correlation::{Correlation, Lattice};
 
 use crate::batch::Batch;
-use crate::pose::Pose2;
+use crate::pose::{Pose2, wrap_angle};
 use cells::places;
 use climb::DriftPrior;
 use image::MapImage;
@@ -82,6 +82,14 @@ pub struct Prior {
     pub sigma_yaw_rad: f64,
     /// Map metres per ground metre at this place.
     pub scale: f64,
+}
+
+impl Prior {
+    /// The pose corrected by metres east and north and radians.
+    #[must_use]
+    pub fn corrected(&self, by: &Pose2) -> Pose2 {
+        Pose2::new(self.pose.x_m + by.x_m, self.pose.y_m + by.y_m, wrap_angle(self.pose.yaw_rad + by.yaw_rad))
+    }
 }
 
 /// Correlates a batch with a map for every hypothesis of a lattice (paper, alg. fastGlobalAlign), on

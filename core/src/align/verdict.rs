@@ -11,7 +11,7 @@ use super::climb::Summit;
 use super::engine::Question;
 use super::score::Field;
 use crate::geo::CELL_M;
-use crate::pose::{Pose2, wrap_angle};
+use crate::pose::Pose2;
 
 /// What an answer must pass, and the calibration of its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -155,11 +155,11 @@ const SAMPLE: usize = 256;
 impl Case<'_> {
     /// The answer with its verdict.
     pub(super) fn judge(&self, integrity: &Integrity) -> Alignment {
-        let Question { prior, thinned, batch, .. } = *self.question;
-        let (Some(best), Some(rigid)) = (self.answer, self.summits.first()) else {
-            return self.nothing(integrity);
-        };
-        let pose = corrected(&prior.pose, &best.correction);
+        let Question { prior, thinned, batch, search, .. } = *self.question;
+        let reach_sq = (search.extent_m * search.extent_m) as f32;
+        let best = self.answer.unwrap_or(Summit::NONE);
+        let rigid = self.summits.first().unwrap_or(&Summit::NONE);
+        let pose = prior.corrected(&best.correction);
         let background = self.background();
         let (matched_fraction, coverage) = self.agreement(&pose, integrity);
         let mut alignment = Alignment {
@@ -170,7 +170,7 @@ impl Case<'_> {
             score: rigid.score - background,
             contrast: rigid.score / background.max(f64::MIN_POSITIVE),
             margin: self.margin(integrity),
-            points_used: batch.points.len(),
+            points_used: batch.points.iter().filter(|[x, y]| x * x + y * y <= reach_sq).count(),
             thinned_points: thinned.len(),
             matched_fraction,
             coverage,
@@ -178,28 +178,6 @@ impl Case<'_> {
             verdict: Verdict::Usable,
         };
         alignment.verdict = verdict(&alignment, best.at_edge || self.leaves_search(&best), integrity);
-        alignment
-    }
-
-    /// There is no map below the batch: the prior itself, which no check lets pass.
-    fn nothing(&self, integrity: &Integrity) -> Alignment {
-        let Question { prior, thinned, batch, .. } = *self.question;
-        let mut alignment = Alignment {
-            pose: prior.pose,
-            correction: Pose2::IDENTITY,
-            covariance: Matrix3::from_diagonal_element(f64::INFINITY).into(),
-            alternatives: Vec::new(),
-            score: 0.0,
-            contrast: 0.0,
-            margin: 0.0,
-            points_used: batch.points.len(),
-            thinned_points: thinned.len(),
-            matched_fraction: 0.0,
-            coverage: self.agreement(&prior.pose, integrity).1,
-            searched: self.question.lattice.half_widths(),
-            verdict: Verdict::Usable,
-        };
-        alignment.verdict = verdict(&alignment, false, integrity);
         alignment
     }
 
@@ -217,8 +195,7 @@ impl Case<'_> {
         let sample: Vec<_> = thinned.iter().step_by(thinned.len() / SAMPLE + 1).collect();
         let step = lattice.half_widths().0.max(1.0) / f64::from(LATTICE);
         let shifts = (-LATTICE..=LATTICE).flat_map(|i| (-LATTICE..=LATTICE).map(move |j| (i, j)));
-        let pose =
-            |(i, j)| corrected(&prior.pose, &Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
+        let pose = |(i, j)| prior.corrected(&Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
         let (mut sum, mut count) = (0.0, 0.0);
         for shift in shifts {
             sum += self.field.value(sample.iter().copied(), &pose(shift), prior.scale);
@@ -281,14 +258,6 @@ impl Case<'_> {
         covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
         covariance
     }
-}
-
-fn corrected(prior: &Pose2, correction: &Pose2) -> Pose2 {
-    Pose2::new(
-        prior.x_m + correction.x_m,
-        prior.y_m + correction.y_m,
-        wrap_angle(prior.yaw_rad + correction.yaw_rad),
-    )
 }
 
 /// The first check that the answer does not pass.

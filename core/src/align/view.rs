@@ -24,28 +24,39 @@ pub struct Shown<'a> {
     pub image: &'a [u8],
 }
 
+/// Which square, and which tiles of it: what was computed from one need not be computed again.
+#[derive(Clone)]
+pub struct Square {
+    /// Where it lies.
+    pub frame: Frame,
+    /// The tiles that exist in it.
+    pub tiles: Vec<Arc<TileWeights>>,
+}
+
+impl Square {
+    /// True when these are the same tiles of the same square.
+    #[must_use]
+    pub fn is(&self, frame: Frame, tiles: &[Arc<TileWeights>]) -> bool {
+        let same = |(a, b): (&Arc<_>, &Arc<_>)| Arc::ptr_eq(a, b);
+        self.frame == frame && self.tiles.len() == tiles.len() && self.tiles.iter().zip(tiles).all(same)
+    }
+}
+
 /// A square of the map as weights; reused from request to request.
 #[derive(Default)]
 pub struct MapView {
-    frame: Option<Frame>,
+    square: Option<Square>,
     fine: Vec<u8>,
     coarse: Vec<u8>,
-    tiles: Vec<Arc<TileWeights>>,
 }
 
 impl MapView {
     /// Shows a square; tiles that are not given are empty.
     pub fn show(&mut self, frame: Frame, tiles: &[Arc<TileWeights>]) {
-        let same = |(a, b): (&Arc<_>, &Arc<_>)| Arc::ptr_eq(a, b);
-        if self.frame == Some(frame)
-            && self.tiles.len() == tiles.len()
-            && self.tiles.iter().zip(tiles).all(same)
-        {
+        if self.square.as_ref().is_some_and(|shown| shown.is(frame, tiles)) {
             return;
         }
-        self.frame = Some(frame);
-        self.tiles.clear();
-        self.tiles.extend_from_slice(tiles);
+        self.square = Some(Square { frame, tiles: tiles.to_vec() });
         let coarse_side = frame.side / COARSE;
         // Tiles that are all there overwrite everything.
         let whole = frame.tiles().count() == tiles.len();
@@ -61,13 +72,19 @@ impl MapView {
         }
     }
 
-    /// Which square is shown.
+    /// What is shown.
     ///
     /// # Panics
     /// Before the first [`MapView::show`].
     #[must_use]
+    pub fn square(&self) -> &Square {
+        self.square.as_ref().expect("a view is asked after it was shown")
+    }
+
+    /// Where it lies.
+    #[must_use]
     pub fn frame(&self) -> Frame {
-        self.frame.expect("a view is asked after it was shown")
+        self.square().frame
     }
 
     /// Weights of cells.
@@ -84,24 +101,18 @@ impl MapView {
         Shown { frame, cells: COARSE, side: frame.side / COARSE, image: &self.coarse }
     }
 
-    /// The tiles shown.
-    #[must_use]
-    pub fn tiles(&self) -> &[Arc<TileWeights>] {
-        &self.tiles
-    }
-
     /// The tile below a place (map metres), if the map has it.
     #[must_use]
     pub fn tile_below(&self, place: [f64; 2]) -> Option<&TileWeights> {
         let id = TileId::of(self.frame().zone, place);
-        self.tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
+        self.square().tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
     }
 
     /// Passes over the cell of a typical hit: how many surveys the map here amounts to.
     #[must_use]
     pub fn typical_passes(&self) -> f64 {
         let sum = |[a, b]: [f64; 2], tile: &Arc<TileWeights>| [a + tile.passes[0], b + tile.passes[1]];
-        mean(self.tiles.iter().fold([0.0; 2], sum))
+        mean(self.square().tiles.iter().fold([0.0; 2], sum))
     }
 }
 

@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::load::once;
-use super::machine::{held_by, used_by};
 use super::town::Town;
+use crate::machine::{held_by, used_by};
 use crate::service::Service;
 use crate::statistics::Percentiles;
 

@@ -11,9 +11,9 @@ use prost::Message;
 use serde::Serialize;
 use tokio::task::JoinSet;
 
-use super::machine::used_by;
 use crate::commands::localize::localizer;
 use crate::fixes::Recording;
+use crate::machine::used_by;
 use crate::service::Service;
 use crate::statistics::Percentiles;
 

@@ -5,8 +5,7 @@
 //! - [`cold`]: a street that the service has not seen yet: windows made, memory taken.
 //! - [`inside`]: the same map and requests without sockets: where the time of one request goes.
 //! - [`engines`]: the alignment alone, by engine.
-//! - [`machine`]: what it all ran on, and what a process used of it.
-//! - [`mod@page`]: the figures as a page; [`section`]: a part of a page that is written anew.
+//! - [`mod@page`]: the figures as a page.
 //!
 //! The service is a process of its own: what it used is its own, and not the questioner's.
 
@@ -14,9 +13,7 @@ mod cold;
 mod engines;
 mod inside;
 mod load;
-mod machine;
 mod page;
-pub mod section;
 mod town;
 
 use std::path::Path;
@@ -26,13 +23,13 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use crate::fixes::Fix;
+use crate::machine::Machine;
 use crate::service::Service;
 use crate::statistics::Percentiles;
 use cold::Cold;
 use engines::Engine;
 use inside::Inside;
 use load::Load;
-use machine::Machine;
 pub use page::page;
 use town::Town;
 

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 
-use crate::bench::{self, Plan, page, section};
+use crate::bench::{self, Plan, page};
+use crate::report;
 
 /// Arguments of `echofix bench`.
 #[derive(clap::Args)]
@@ -37,7 +38,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let quick = if quick { " --quick" } else { "" };
     let page = page(&figures, &format!("echofix bench{quick} --seed {seed}"));
     if let Some(file) = write {
-        section::write(&file, "bench", &page)?;
+        report::write_section(&file, "bench", &page)?;
     }
     if json {
         println!("{}", serde_json::to_string(&figures)?);

@@ -4,7 +4,7 @@ use super::record::Record;
 use super::run::Plan;
 use super::sections::Section;
 use super::worlds::Places;
-use crate::report;
+use crate::machine::Machine;
 
 /// How the figures came about.
 pub struct About {
@@ -20,7 +20,7 @@ impl About {
     /// Of this run.
     pub fn of(places: &Places, plan: &Plan, rows: &[Record]) -> Self {
         Self {
-            machine: report::machine(),
+            machine: Machine::here().to_string(),
             command: command(std::env::args()),
             places: places.words(),
             simulated: matches!(places, Places::Simulated(_)),
@@ -46,7 +46,7 @@ exact truth. The paper's are against the reference solution of the localized dri
 own; the last columns of the first table measure like that.";
 
 const METHOD: &str = "`paper` takes the hypothesis of the highest correlation, as printed, from maps and batches without a gate
-for movers; `echofix` is what the service answers. Both get the same epochs, about a second of driving
+for movers; `echofix` is what the service answers, batches organised by odometry that radial speeds corrected. Both get the same epochs, about a second of driving
 apart, after at least a second above 1 m/s, and the same priors of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percentiles;
 in brackets 95 % confidence intervals, from a bootstrap over blocks of two minutes, for epochs near each
 other are not independent. `Map's own error` is how far off the poses were, on average, that the map was

@@ -110,19 +110,19 @@ pub fn ask(
         Some(drift) => drift.apply(&way, seed)?,
         None => way,
     };
-    let (Some(truth), Some(end), Some((begin_us, begin))) =
-        (world.truth.at(end_us), way.at(end_us), way.first())
-    else {
-        return Ok(None);
-    };
     let (seen, mounts) = (&scans[from..to], &world.drive.mounts);
     // Who tells movers by their radial speeds corrects odometry by those of what stands still.
     let corrected = match movers {
         Movers::Kept => None,
         Movers::Dropped => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
     };
-    let organised_by = corrected.as_ref().map_or(&way, |corrected| &corrected.trajectory);
-    let batch = Batch::organise(seen, mounts, organised_by, end_us, &movers.gate())?;
+    let way = corrected.map_or(way, |corrected| corrected.trajectory);
+    let (Some(truth), Some(end), Some((begin_us, begin))) =
+        (world.truth.at(end_us), way.at(end_us), way.first())
+    else {
+        return Ok(None);
+    };
+    let batch = Batch::organise(seen, mounts, &way, end_us, &movers.gate())?;
     let drifted = match condition.drift.and_then(|_| world.truth.at(begin_us)) {
         None => truth,
         Some(start) => {

@@ -14,7 +14,7 @@ use echofix_core::align::{Aligner, EngineKind, Lattice, Search, Task, Workspace,
 use echofix_core::batch::Batch;
 use echofix_core::evidence::InverseSensorModel;
 use echofix_core::geo::TileId;
-use echofix_core::pose::{Pose2, wrap_angle};
+use echofix_core::pose::Pose2;
 use echofix_core::window::Frame;
 use echofix_server::locating::verdict_word;
 use moka::policy::EvictionPolicy;
@@ -177,11 +177,7 @@ impl Method for Paper {
             }
             _ => 0.0,
         };
-        let pose = Pose2::new(
-            prior.pose.x_m + best.x_m,
-            prior.pose.y_m + best.y_m,
-            wrap_angle(prior.pose.yaw_rad + best.yaw_rad),
-        );
+        let pose = prior.corrected(&best);
         let verdict = "NOT_JUDGED";
         Outcome { pose, covariance: None, usable: true, verdict, protection: None, second, elapsed }
     }

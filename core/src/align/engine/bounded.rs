@@ -9,14 +9,11 @@
 //! FFT instead.
 
 use std::cmp::Reverse;
-use std::sync::Arc;
 
 use super::{Engine, Fast, Fft, Peak, Question};
 use crate::align::cells::Once;
 use crate::align::simd::{Isa, Strips};
-use crate::align::view::Shown;
-use crate::align::weights::TileWeights;
-use crate::window::Frame;
+use crate::align::view::{Shown, Square};
 
 /// Shifts along the side of a block.
 const BLOCK: usize = 8;
@@ -28,12 +25,13 @@ const TOO_MANY: usize = 2500;
 const AROUND: usize = 5;
 
 /// The engine and its buffers.
+#[derive(Default)]
 pub struct Bounded {
     isa: Isa,
     fast: Fast,
     fft: Fft,
     /// What `bounds` was made of.
-    of: Option<(Frame, Vec<Arc<TileWeights>>)>,
+    of: Option<Square>,
     /// The largest weight of the 8 x 8 cells north-east of each cell: columns of one remainder by 8
     /// side by side, so that neighbouring blocks of shifts are neighbours in memory.
     bounds: Vec<u8>,
@@ -65,12 +63,6 @@ impl Best {
         if sum > self.sum || (sum == self.sum && index < self.index) {
             *self = Self { sum, index };
         }
-    }
-}
-
-impl Default for Bounded {
-    fn default() -> Self {
-        Self::on(Isa::best())
     }
 }
 
@@ -115,17 +107,7 @@ impl Bounded {
     /// The engine on one instruction set.
     #[must_use]
     pub fn on(isa: Isa) -> Self {
-        Self {
-            isa,
-            fast: Fast::on(isa),
-            fft: Fft::default(),
-            of: None,
-            bounds: Vec::new(),
-            once: Once::default(),
-            occupied: Vec::new(),
-            places: Vec::new(),
-            left: Vec::new(),
-        }
+        Self { isa, fast: Fast::on(isa), ..Self::default() }
     }
 
     /// Blocks of shifts that were left to be summed up in the last search.
@@ -136,13 +118,10 @@ impl Bounded {
 
     /// The bounds of the map, unless they are those of the last question.
     fn refresh(&mut self, question: &Question) {
-        let (frame, tiles) = (question.view.frame(), question.view.tiles());
-        let same = self.of.as_ref().is_some_and(|(of, old)| {
-            *of == frame && old.len() == tiles.len() && old.iter().zip(tiles).all(|(a, b)| Arc::ptr_eq(a, b))
-        });
-        if !same {
+        let square = question.view.square();
+        if !self.of.as_ref().is_some_and(|of| of.is(square.frame, &square.tiles)) {
             bounds(&question.view.fine(), &mut self.bounds);
-            self.of = Some((frame, tiles.to_vec()));
+            self.of = Some(square.clone());
         }
     }
 

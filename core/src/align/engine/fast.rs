@@ -27,6 +27,7 @@ const MANY: usize = 60_000;
 const KEPT: usize = 32;
 
 /// The engine and its buffers.
+#[derive(Default)]
 pub struct Fast {
     isa: Isa,
     places: Vec<u32>,
@@ -41,12 +42,6 @@ struct Around {
     pixels: usize,
     turns: i32,
     step: i32,
-}
-
-impl Default for Fast {
-    fn default() -> Self {
-        Self::on(Isa::best())
-    }
 }
 
 impl Engine for Fast {
@@ -77,7 +72,7 @@ impl Fast {
     /// The engine on one instruction set.
     #[must_use]
     pub fn on(isa: Isa) -> Self {
-        Self { isa, places: Vec::new(), sums: Vec::new(), best: Vec::new(), coarser: Vec::new() }
+        Self { isa, ..Self::default() }
     }
 
     /// Sums of an image for every shift of its pixels and every `step`th turn, reduced to the best

@@ -8,9 +8,8 @@ use crate::align::cells::Once;
 use crate::align::correlation::Correlation;
 use crate::align::fft::Plans;
 use crate::align::image::MapImage;
-use crate::align::weights::TileWeights;
+use crate::align::view::Square;
 use crate::align::{Workspace, fast_global_align};
-use crate::window::Frame;
 
 /// Largest error of a value of the correlation, as a share of the product of the images' norms.
 /// Single precision keeps 6e-8 at each of some twenty steps of butterflies; the test holds it to this.
@@ -20,7 +19,7 @@ const RELATIVE_ERROR: f32 = 2e-6;
 #[derive(Default)]
 pub struct Fft {
     plans: BTreeMap<usize, Arc<Plans>>,
-    map: Option<(Frame, Vec<Arc<TileWeights>>, MapImage)>,
+    map: Option<(Square, MapImage)>,
     workspace: Workspace,
     once: Once,
     occupied: Vec<u32>,
@@ -33,7 +32,7 @@ impl Engine for Fft {
 
     fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>) {
         self.transform(question);
-        let Some((_, _, map)) = &self.map else { return };
+        let Some((_, map)) = &self.map else { return };
         let Question { batch, prior, search, lattice, .. } = question;
         let correlation = fast_global_align(map, batch, prior, search, lattice, &mut self.workspace);
         let norms = map.norm() * (batch.points.len() as f32).sqrt();
@@ -53,16 +52,13 @@ impl Engine for Fft {
 impl Fft {
     /// The map's spectrum, unless it is that of the last question.
     fn transform(&mut self, question: &Question) {
-        let (frame, tiles) = (question.view.frame(), question.view.tiles());
-        let same = |(_, old, _): &&(Frame, Vec<Arc<TileWeights>>, MapImage)| {
-            old.len() == tiles.len() && old.iter().zip(tiles).all(|(a, b)| Arc::ptr_eq(a, b))
-        };
-        if self.map.as_ref().filter(same).is_some_and(|(of, ..)| *of == frame) {
+        let square @ Square { frame, tiles } = question.view.square();
+        if self.map.as_ref().is_some_and(|(of, _)| of.is(*frame, tiles)) {
             return;
         }
         let plans = self.plans.entry(frame.side).or_insert_with(|| Arc::new(Plans::new(frame.side)));
         let image = MapImage::of_weights(&question.view.fine(), Arc::clone(plans));
-        self.map = Some((frame, tiles.to_vec(), image));
+        self.map = Some((square.clone(), image));
     }
 
     /// The maximum beyond rounding: what comes within the error of the highest value is summed up

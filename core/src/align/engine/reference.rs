@@ -108,6 +108,7 @@ impl Engine for Reference {
                 }
             }
         }
+        self.fft = Some(fft);
         // l. 13
         peaks.clear();
         peaks.push(question.peak(best, highest.round() as u32));

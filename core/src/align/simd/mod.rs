@@ -27,6 +27,13 @@ enum Set {
     Avx512,
 }
 
+impl Default for Isa {
+    /// The fastest that this processor has.
+    fn default() -> Self {
+        Self::best()
+    }
+}
+
 impl Isa {
     /// What every processor has.
     pub const PLAIN: Self = Self(Set::Plain);

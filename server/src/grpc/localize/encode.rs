@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use echofix_core::align::Alignment;
 use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::batch::Batch;
 use echofix_core::pose::Pose2;
@@ -119,29 +120,26 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
     let horizontal_m = answer.protection.horizontal_m();
     // A level that is no number is within no limit.
     let within_limit = horizontal_m <= alert_limit_m;
-    match answer.alignment.verdict {
-        Verdict::Usable if alert_limit_m > 0.0 && !within_limit => {
-            let text = format!(
-                "the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m"
-            );
-            (FixStatus::AboveAlertLimit, text)
-        }
-        Verdict::Usable => {
-            let matched = answer.alignment.matched_fraction * 100.0;
-            (
-                FixStatus::Usable,
-                format!("{matched:.0} % of the batch lies on mapped structure, no other pose comes near"),
-            )
-        }
-        verdict => refused_by(&verdict),
+    if answer.alignment.verdict == Verdict::Usable && alert_limit_m > 0.0 && !within_limit {
+        let text = format!(
+            "the horizontal protection level of {horizontal_m:.2} m exceeds the alert limit of {alert_limit_m:.2} m"
+        );
+        return (FixStatus::AboveAlertLimit, text);
     }
+    told(&answer.alignment)
 }
 
-/// The status and the words of a verdict that lets no answer pass.
-fn refused_by(verdict: &Verdict) -> (FixStatus, String) {
+/// A verdict in the contract's words.
+fn told(alignment: &Alignment) -> (FixStatus, String) {
     let percent = |share: f64| share * 100.0;
-    match *verdict {
-        Verdict::Usable => (FixStatus::Usable, String::new()),
+    match alignment.verdict {
+        Verdict::Usable => (
+            FixStatus::Usable,
+            format!(
+                "{:.0} % of the batch lies on mapped structure, no other pose comes near",
+                percent(alignment.matched_fraction)
+            ),
+        ),
         Verdict::Ambiguous { relative_score, along_track: true, .. } => (
             FixStatus::AmbiguousAlongTrack,
             format!("another pose along the street scores {:.0} % of this one", percent(relative_score)),

@@ -1,7 +1,7 @@
 //! What it all ran on, and what a process used of it (Linux; elsewhere unknown).
 
-use std::fs;
 use std::time::Duration;
+use std::{fmt, fs};
 
 use serde::Serialize;
 
@@ -26,6 +26,12 @@ impl Machine {
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             memory_gib: kibibytes(&memory, "MemTotal").unwrap_or(0) as f64 / f64::from(1 << 20),
         }
+    }
+}
+
+impl fmt::Display for Machine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} cores of {}", self.cores, self.processor)
     }
 }
 
@@ -63,6 +69,12 @@ fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn this_machine_has_cores() {
+        let words = Machine::here().to_string();
+        assert!(words.contains(" cores of "), "{words}");
+    }
 
     #[test]
     fn times_are_found_behind_any_name() {

@@ -1,0 +1,63 @@
+use super::*;
+use crate::doppler::static_radial_speed;
+use crate::scan::Scan;
+use proptest::prelude::*;
+
+fn mounts() -> [Mount; 3] {
+    [Mount::new(3.6, 0.0, 0.0), Mount::new(3.4, 0.7, 0.8), Mount::new(3.4, -0.7, -0.8)]
+}
+
+/// On a bend at a speed, 5 s, a pose every 20 ms; speed and yaw rate are off by some share and rate.
+fn bend(scale: f64, gyro_radps: f64) -> Trajectory {
+    let (dt_s, speed_mps, yaw_rate) = (0.02, 8.0 * (1.0 + scale), 0.15 + gyro_radps);
+    let radius_m = speed_mps / yaw_rate;
+    let pose = |i: i64| {
+        let turned = yaw_rate * dt_s * i as f64;
+        Pose2::new(radius_m * turned.sin(), radius_m * (1.0 - turned.cos()), turned)
+    };
+    Trajectory::new((0..=250).map(|i| (i * 20_000, pose(i)))).unwrap()
+}
+
+/// What the radars see on the true bend, without error.
+fn seen() -> Vec<Scan> {
+    let truth = bend(0.0, 0.0);
+    let scan = |i: i64| {
+        let (sensor, time_us) = (i as usize % 3, 15_000 * i);
+        let v = truth.velocity_at(time_us).unwrap();
+        let azimuth_rad: Vec<f32> = (-10..=10).map(|k| 0.08 * k as f32).collect();
+        let radial = |azimuth: &f32| static_radial_speed(&mounts()[sensor], v, f64::from(*azimuth)) as f32;
+        let radial_speed_mps = azimuth_rad.iter().map(radial).collect();
+        Scan { sensor, time_us, range_m: vec![20.0; 21], azimuth_rad, radial_speed_mps, ..Scan::default() }
+    };
+    (0..333).map(scan).collect()
+}
+
+fn end_error(a: &Trajectory, b: &Trajectory) -> (f64, f64) {
+    let (a, b) = (a.last().unwrap().1, b.last().unwrap().1);
+    (a.distance_m(&b), a.between(&b).yaw_rad.abs())
+}
+
+proptest! {
+    #[test]
+    fn a_scale_and_a_bias_are_found(scale in -0.02..0.02_f64, gyro in -0.006..0.006_f64) {
+        let odometry = bend(scale, gyro);
+        let config = (EgoConfig::default(), OdometryBias::paper());
+        let found = dedrifted(&seen(), &mounts(), &odometry, &config.0, &config.1).unwrap();
+        prop_assert!(found.estimates >= 45, "{}", found.estimates);
+        let (metres, radians) = end_error(&found.trajectory, &bend(0.0, 0.0));
+        // What the prior keeps of it: the radars cannot tell all of a turn from sliding sideways.
+        let (before_m, before_rad) = end_error(&odometry, &bend(0.0, 0.0));
+        prop_assert!(metres < 0.5 * before_m + 0.02, "{metres} of {before_m} m");
+        prop_assert!(radians < 0.5 * before_rad + 1e-3, "{radians} of {before_rad} rad");
+    }
+}
+
+#[test]
+fn without_radial_speeds_nothing_is_corrected() {
+    let mut scans = seen();
+    for scan in &mut scans {
+        scan.radial_speed_mps.clear();
+    }
+    let config = (EgoConfig::default(), OdometryBias::default());
+    assert_eq!(dedrifted(&scans, &mounts(), &bend(0.0, 0.0), &config.0, &config.1), None);
+}
