@@ -57,9 +57,9 @@ impl Default for Integrity {
             max_sigma_m: 0.5,
             score_temperature: 10.0,
             temperature: 2.0,
-            map_pose_m: 0.1,
-            floor_m: 0.05,
-            floor_yaw_rad: 0.06_f64.to_radians(),
+            map_pose_m: 0.08,
+            floor_m: 0.04,
+            floor_yaw_rad: 0.05_f64.to_radians(),
             tail: 1.3,
         }
     }

@@ -99,8 +99,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     if let Some(path) = &args.epochs {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
-    let sections: Vec<Section> =
-        experiments.iter().map(|e| Section::of(*e, &rows, plan.base, &crowds)).collect();
+    let sections: Vec<Section> = experiments.iter().map(|e| Section::of(*e, &rows, &plan, &crowds)).collect();
     let about = About::of(&places, &plan, &rows);
     if let Some(folder) = &args.write {
         write_report(folder, &about, &sections)?;
@@ -136,15 +135,20 @@ fn places(args: &Args) -> Places {
 
 fn plan(args: &Args) -> Plan {
     let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
-    let contributors = args.map.len().max(1);
+    let base = Condition { contributors: args.map.len().max(1), ..Condition::default() };
+    let variants = |experiment: Experiment| {
+        let conditions = experiment.conditions(base, &[]);
+        conditions.into_iter().flat_map(move |c| experiment.variants().iter().map(move |name| (*name, c)))
+    };
     Plan {
         every_s: args.every_s,
         epochs,
         swept,
-        base: Condition { contributors, ..Condition::default() },
+        base,
         priors: args.priors,
         seed: args.seed,
         methods: args.methods.clone(),
+        variants: experiments(args).into_iter().flat_map(variants).collect(),
     }
 }
 

@@ -2,6 +2,8 @@
 
 use echofix_sim::{Drift, Growth};
 
+use super::method::Name;
+
 /// The paper's batch length, seconds.
 pub const BATCH_S: f64 = 5.0;
 
@@ -31,6 +33,12 @@ impl Condition {
         levels.flat_map(grown).map(|drift| Self { drift: Some(drift), ..self }).collect()
     }
 
+    /// Under the paper's largest drift, the quadratic one.
+    fn drifted_most(self) -> Self {
+        let [.., largest] = Drift::PAPER_LEVELS;
+        Self { drift: Some(Drift::over_5_s(largest, Growth::Quadratic)), ..self }
+    }
+
     /// The same with the paper's batch lengths.
     fn batches(self) -> Vec<Self> {
         [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].map(|batch_s| Self { batch_s, ..self }).to_vec()
@@ -47,10 +55,11 @@ impl Condition {
             (Experiment::Batch, _) => format!("{:.0} s", self.batch_s),
             (Experiment::Crowd, _) if self.contributors == 1 => "1 contributor".to_owned(),
             (Experiment::Crowd, _) => format!("{} contributors", self.contributors),
-            (Experiment::Drift, Some(drift)) => {
+            (Experiment::Drift | Experiment::Ablation, Some(drift)) => {
                 let (cm, deg) = (100.0 * drift.sigma_position_m, drift.sigma_yaw_rad.to_degrees());
                 format!("{} {cm:.0} cm, {deg:.2} deg", self.growth())
             }
+            (Experiment::Ablation, None) => "no drift".to_owned(),
             _ => format!("{:.0} s, {} contributor(s)", self.batch_s, self.contributors),
         }
     }
@@ -78,11 +87,23 @@ pub enum Experiment {
     Crowd,
     /// Streets made to be mistaken.
     Ambiguity,
+    /// What each step is worth.
+    Ablation,
+    /// How often the fast search misses the exact maximum.
+    Misses,
 }
 
 impl Experiment {
     /// All of them, in the order of the report.
-    pub const ALL: [Self; 5] = [Self::Headline, Self::Batch, Self::Drift, Self::Crowd, Self::Ambiguity];
+    pub const ALL: [Self; 7] = [
+        Self::Headline,
+        Self::Batch,
+        Self::Drift,
+        Self::Crowd,
+        Self::Ambiguity,
+        Self::Ablation,
+        Self::Misses,
+    ];
 
     /// Its name in a word.
     pub fn word(self) -> &'static str {
@@ -92,13 +113,25 @@ impl Experiment {
             Self::Drift => "drift",
             Self::Crowd => "crowd",
             Self::Ambiguity => "ambiguity",
+            Self::Ablation => "ablation",
+            Self::Misses => "misses",
+        }
+    }
+
+    /// Methods it compares besides those asked for.
+    pub fn variants(self) -> &'static [Name] {
+        match self {
+            Self::Ablation => &Name::LADDER,
+            Self::Misses => &[Name::Echofix, Name::Exact],
+            _ => &[],
         }
     }
 
     /// The conditions it compares: variations of one.
     pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
         match self {
-            Self::Headline | Self::Ambiguity => vec![base],
+            Self::Headline | Self::Ambiguity | Self::Misses => vec![base],
+            Self::Ablation => vec![base, base.drifted_most()],
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),

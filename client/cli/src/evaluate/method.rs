@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 
 pub use echofix_core::align::Prior;
 use echofix_core::align::climb::DriftPrior;
+use echofix_core::align::engine::{Bounded, Engine as _, Peak, Question};
 use echofix_core::align::fft::Plans;
 use echofix_core::align::image::MapImage;
 use echofix_core::align::verdict::{Integrity, Verdict};
+use echofix_core::align::view::MapView;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Lattice, Search, Task, Workspace, fast_global_align};
 use echofix_core::batch::Batch;
@@ -51,8 +53,28 @@ pub struct Outcome {
     pub protection: Option<Protection>,
     /// Score of the best distinct alternative relative to the answer's; 0 without one.
     pub second: f64,
+    /// Log-likelihood by which the answer exceeds it, nats, when the method knows it.
+    pub margin: Option<f64>,
     /// Time of the fix itself, its window prepared.
     pub elapsed: Duration,
+}
+
+impl Outcome {
+    /// A pose of a method that never says no.
+    fn unjudged(pose: Pose2) -> Self {
+        let (covariance, protection, margin) = (None, None, None);
+        let elapsed = Duration::ZERO;
+        Self {
+            pose,
+            covariance,
+            usable: true,
+            verdict: "NOT_JUDGED",
+            protection,
+            second: 0.0,
+            margin,
+            elapsed,
+        }
+    }
 }
 
 /// A way to find the pose of a batch on a map.
@@ -70,6 +92,10 @@ pub trait Method: Send {
 pub enum Name {
     /// The paper's: the hypothesis of the highest correlation.
     Paper,
+    /// The same without movers, and with odometry that radial speeds corrected.
+    Gated,
+    /// The hypothesis of the highest mean log weight, without movers.
+    Weights,
     /// The service's.
     Echofix,
     /// The same with the exact maximum, by bounds.
@@ -81,11 +107,35 @@ pub enum Name {
 }
 
 impl Name {
+    /// What the ablation compares, from the paper's method on.
+    pub const LADDER: [Self; 7] =
+        [Self::Paper, Self::Gated, Self::Weights, Self::Rigid, Self::Echofix, Self::NoDoppler, Self::Exact];
+
+    /// Its name in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Gated => "paper, without movers",
+            Self::Weights => "log weights, highest hypothesis",
+            Self::Rigid => "log weights, climbed, rigid batch",
+            Self::Echofix => "echofix",
+            Self::NoDoppler => "echofix without radial speeds",
+            Self::Exact => "echofix, exact search",
+        }
+    }
+
     /// The method, for one thread; `windows` is shared by all.
     pub fn method(self, windows: &Arc<Windows>) -> Box<dyn Method> {
         let windows = Arc::clone(windows);
         match self {
-            Self::Paper => Box::new(Paper { windows, workspace: Workspace::default() }),
+            Self::Paper => Box::new(Paper::new(self, windows, Movers::Kept)),
+            Self::Gated => Box::new(Paper::new(self, windows, Movers::Dropped)),
+            Self::Weights => Box::new(Highest {
+                windows,
+                view: MapView::default(),
+                engine: Bounded::default(),
+                peaks: Vec::new(),
+            }),
             Self::Echofix => Box::new(Echofix::new(self, windows)),
             Self::Exact => Box::new(Echofix { engine: EngineKind::Bounded, ..Echofix::new(self, windows) }),
             Self::Rigid => {
@@ -150,17 +200,25 @@ impl Windows {
 
 /// The paper's method: the hypothesis of the highest correlation of the occupancy grids.
 struct Paper {
+    name: Name,
     windows: Arc<Windows>,
     workspace: Workspace,
+    movers: Movers,
+}
+
+impl Paper {
+    fn new(name: Name, windows: Arc<Windows>, movers: Movers) -> Self {
+        Self { name, windows, workspace: Workspace::default(), movers }
+    }
 }
 
 impl Method for Paper {
     fn name(&self) -> &'static str {
-        "paper"
+        self.name.word()
     }
 
     fn movers(&self) -> Movers {
-        Movers::Kept
+        self.movers
     }
 
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
@@ -177,9 +235,40 @@ impl Method for Paper {
             }
             _ => 0.0,
         };
-        let pose = prior.corrected(&best);
-        let verdict = "NOT_JUDGED";
-        Outcome { pose, covariance: None, usable: true, verdict, protection: None, second, elapsed }
+        Outcome { second, elapsed, ..Outcome::unjudged(prior.corrected(&best)) }
+    }
+}
+
+/// The hypothesis of the highest sum of log weights, as it is.
+struct Highest {
+    windows: Arc<Windows>,
+    view: MapView,
+    engine: Bounded,
+    peaks: Vec<Peak>,
+}
+
+impl Method for Highest {
+    fn name(&self) -> &'static str {
+        Name::Weights.word()
+    }
+
+    fn movers(&self) -> Movers {
+        Movers::Dropped
+    }
+
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+        let search = self.windows.search;
+        let frame = self.windows.frame(map, prior);
+        self.view.show(frame, &self.windows.weights(map, frame));
+        let began = Instant::now();
+        let lattice = Lattice::of(prior, &search);
+        let question = Question { view: &self.view, batch, thinned: &[], prior, search: &search, lattice };
+        self.engine.search(&question, &mut self.peaks);
+        let elapsed = began.elapsed();
+        let score = |rank: usize| self.peaks.get(rank).map_or(0.0, |peak| f64::from(peak.score));
+        let best = self.peaks.first().map_or(Pose2::IDENTITY, |peak| peak.correction);
+        let second = if score(0) > 0.0 { score(1) / score(0) } else { 0.0 };
+        Outcome { second, elapsed, ..Outcome::unjudged(prior.corrected(&best)) }
     }
 }
 
@@ -203,12 +292,7 @@ impl Echofix {
 
 impl Method for Echofix {
     fn name(&self) -> &'static str {
-        match self.name {
-            Name::Paper | Name::Echofix => "echofix",
-            Name::Exact => "exact",
-            Name::Rigid => "rigid",
-            Name::NoDoppler => "no doppler",
-        }
+        self.name.word()
     }
 
     fn movers(&self) -> Movers {
@@ -234,6 +318,7 @@ impl Method for Echofix {
             verdict: verdict_word(&answer.verdict),
             protection: finite.then_some(protection),
             second: answer.alternatives.first().map_or(0.0, |(_, score)| *score),
+            margin: Some(answer.margin),
             elapsed,
         }
     }

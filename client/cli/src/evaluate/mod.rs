@@ -6,10 +6,12 @@
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
 //! - [`statistics`]: percentiles, intervals, curves.
-//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
+//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report,
+//!   experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
 //! - [`sanity`]: what any run must come out as.
 
+pub mod ablation;
 pub mod about;
 pub mod cells;
 pub mod condition;
@@ -19,6 +21,7 @@ pub mod groups;
 pub mod logged;
 pub mod map;
 pub mod method;
+pub mod misses;
 pub mod plots;
 pub mod record;
 pub mod run;

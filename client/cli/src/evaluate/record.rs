@@ -84,6 +84,8 @@ pub struct Record {
     pub protection_yaw_deg: Option<f64>,
     /// Score of the best alternative relative to the answer's.
     pub second: f64,
+    /// Log-likelihood by which the answer exceeds the best alternative, nats; empty where unknown.
+    pub margin: Option<f64>,
     /// Milliseconds of the fix.
     pub ms: f64,
 }
@@ -131,7 +133,8 @@ impl Record {
             self.protection_yaw_deg = Some(levels.yaw_rad.to_degrees());
         }
         (self.verdict, self.usable) = (outcome.verdict, outcome.usable);
-        (self.second, self.ms) = (outcome.second, outcome.elapsed.as_secs_f64() * 1e3);
+        (self.second, self.margin) = (outcome.second, outcome.margin);
+        self.ms = outcome.elapsed.as_secs_f64() * 1e3;
         self
     }
 
@@ -151,6 +154,12 @@ impl Record {
     #[must_use]
     pub fn wrong(&self) -> bool {
         self.error_m() > WRONG_M
+    }
+
+    /// How doubtful the answer is: the more, the likelier a rival is the right one.
+    #[must_use]
+    pub fn doubt(&self) -> f64 {
+        self.margin.map_or(self.second, |margin| -margin)
     }
 
     /// Does an error exceed its protection level?
@@ -189,7 +198,8 @@ mod tests {
 
     fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> Outcome {
         let elapsed = Duration::from_millis(7);
-        Outcome { pose, covariance, usable: true, verdict: "USABLE", protection: None, second: 0.5, elapsed }
+        let (protection, second, margin) = (None, 0.5, Some(20.0));
+        Outcome { pose, covariance, usable: true, verdict: "USABLE", protection, second, margin, elapsed }
     }
 
     #[test]

@@ -33,6 +33,27 @@ pub struct Plan {
     pub seed: u64,
     /// The methods, in the order of the tables.
     pub methods: Vec<Name>,
+    /// Further methods, and under which conditions they are asked; at swept epochs only.
+    pub variants: Vec<(Name, Condition)>,
+}
+
+impl Plan {
+    /// All methods, each once.
+    fn all_methods(&self) -> Vec<Name> {
+        let mut all = self.methods.clone();
+        for (name, _) in &self.variants {
+            if !all.contains(name) {
+                all.push(*name);
+            }
+        }
+        all
+    }
+
+    /// Is a method asked under a condition at an epoch?
+    fn asks(&self, name: Name, condition: &Condition, epoch: &Epoch) -> bool {
+        let variant = || self.variants.iter().any(|(n, c)| *n == name && c == condition);
+        self.methods.contains(&name) || (epoch.swept && variant())
+    }
 }
 
 /// Asks every method at a world's epochs; the rows are in order of epoch, condition, prior and method.
@@ -49,7 +70,7 @@ pub fn run(
     let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
     bar.inc_length(epochs.len() as u64);
     let rows = epochs.par_iter().map_init(
-        || plan.methods.iter().map(|name| name.method(windows)).collect::<Vec<_>>(),
+        || plan.all_methods().into_iter().map(|name| (name, name.method(windows))).collect::<Vec<_>>(),
         |methods, epoch| {
             let rows = at_epoch(world, epoch, conditions, plan, methods);
             bar.inc(1);
@@ -65,7 +86,7 @@ fn at_epoch(
     epoch: &Epoch,
     conditions: &[Condition],
     plan: &Plan,
-    methods: &mut [Box<dyn Method>],
+    methods: &mut [(Name, Box<dyn Method>)],
 ) -> anyhow::Result<Vec<Record>> {
     let seed = seed_of(plan.seed, world.index, epoch.number);
     let mut rows = Vec::new();
@@ -80,7 +101,10 @@ fn at_epoch(
             }
         }
         for number in 0..plan.priors {
-            for method in &mut *methods {
+            for (name, method) in &mut *methods {
+                if !plan.asks(*name, condition, epoch) {
+                    continue;
+                }
                 if let Some(asked) = batches.get(&method.movers()) {
                     rows.push(fix(world, epoch, condition, asked, (number, seed), &mut **method)?);
                 }

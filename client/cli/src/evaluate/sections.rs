@@ -2,14 +2,18 @@
 
 use std::path::Path;
 
+use echofix_core::align::verdict::Integrity;
+
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
-use super::method::RISK;
+use super::method::{Name, RISK};
 use super::plots::{self, Curve, Panel};
 use super::record::Record;
+use super::run::Plan;
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
 use super::tables::{self, ALERT_M};
+use super::{ablation, misses};
 
 /// A part of the report.
 pub struct Section {
@@ -18,22 +22,35 @@ pub struct Section {
     /// What is shown.
     pub text: String,
     /// File name and figure.
-    figures: Vec<(&'static str, Figure)>,
+    pub figures: Vec<(&'static str, Figure)>,
 }
 
-enum Figure {
+/// What is drawn.
+pub enum Figure {
+    /// Panels of how often an error is exceeded.
     Ccdfs(Vec<Panel>),
+    /// A title and detectors' curves.
     Rocs(String, Vec<Curve>),
+    /// A title and (error, level) pairs.
     Stanford(String, Vec<(f64, f64)>),
 }
 
 impl Section {
-    /// The section of an experiment; `base` is the headline's condition.
-    pub fn of(experiment: Experiment, rows: &[Record], base: Condition, crowds: &[usize]) -> Self {
+    /// The section of an experiment.
+    pub fn of(experiment: Experiment, rows: &[Record], plan: &Plan, crowds: &[usize]) -> Self {
+        let base = plan.base;
+        let all: Vec<&Record> = rows.iter().collect();
+        let named = |names: &[Name]| -> Vec<&Record> {
+            let words: Vec<_> = names.iter().map(|name| name.word()).collect();
+            all.iter().copied().filter(|row| words.contains(&row.method)).collect()
+        };
+        let asked = named(&plan.methods);
         match experiment {
-            Experiment::Headline => headline(rows, base),
-            Experiment::Ambiguity => ambiguity(rows, base),
-            _ => swept(experiment, rows, &experiment.conditions(base, crowds)),
+            Experiment::Headline => headline(&asked, base),
+            Experiment::Ambiguity => ambiguity(&asked, base),
+            Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
+            Experiment::Misses => misses::section(&all, base),
+            _ => swept(experiment, &asked, &experiment.conditions(base, crowds)),
         }
     }
 
@@ -55,9 +72,10 @@ impl Section {
 }
 
 /// Rows of a condition: of the town or log, not of the scenes.
-fn under<'a>(rows: &'a [Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
-    let streets = super::simulated::is_scene;
-    rows.iter().filter(|r| !streets(r.place) && r.condition == *condition && (!swept || r.swept)).collect()
+pub fn under<'a>(rows: &[&'a Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
+    let in_town = |r: &&&Record| !super::simulated::is_scene(r.place);
+    let asked = |r: &&&Record| r.condition == *condition && (!swept || r.swept);
+    rows.iter().filter(in_town).filter(asked).copied().collect()
 }
 
 fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {
@@ -68,7 +86,7 @@ fn image(title: &str, file: &str) -> String {
     format!("![{title}](docs/evaluation/{file})\n")
 }
 
-fn headline(rows: &[Record], base: Condition) -> Section {
+fn headline(rows: &[&Record], base: Condition) -> Section {
     let rows = under(rows, &base, false);
     let groups = by_method(&rows);
     let text = [
@@ -93,7 +111,7 @@ fn headline(rows: &[Record], base: Condition) -> Section {
     Section { experiment: Experiment::Headline, text, figures }
 }
 
-fn swept(experiment: Experiment, rows: &[Record], conditions: &[Condition]) -> Section {
+fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> Section {
     let (title, words, file) = match experiment {
         Experiment::Batch => (
             "Batch length",
@@ -158,8 +176,8 @@ fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
     ]
 }
 
-fn ambiguity(rows: &[Record], base: Condition) -> Section {
-    let all: Vec<&Record> = rows.iter().filter(|r| r.condition == base).collect();
+fn ambiguity(rows: &[&Record], base: Condition) -> Section {
+    let all: Vec<&Record> = rows.iter().copied().filter(|r| r.condition == base).collect();
     let mut groups = Groups::new();
     for (method, rows) in by_method(&all) {
         let mut places: Vec<&str> = rows.iter().map(|r| r.place).collect();
@@ -175,8 +193,12 @@ fn ambiguity(rows: &[Record], base: Condition) -> Section {
         .enumerate()
         .filter_map(|(k, (name, rows))| detector(k, &name, &rows))
         .collect();
-    let words = "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the relative score of the best alternative tell answers that are wrong by more than a metre?\n";
-    let mut text = [words, &tables::ambiguity(&groups)].join("\n");
+    let asked = Integrity::default().min_margin;
+    let words = format!(
+        "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {} nats), tell answers that are wrong by more than a metre?\n",
+        asked
+    );
+    let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {
         text.push_str(line);
     }
@@ -191,9 +213,9 @@ fn ambiguity(rows: &[Record], base: Condition) -> Section {
     }
 }
 
-/// How a method's relative scores tell wrong answers, as a curve and in a line of words.
+/// How a method's margins, or relative scores, tell wrong answers, as a curve and in a line of words.
 fn detector(colour: usize, name: &str, rows: &[&Record]) -> Option<(Curve, String)> {
-    let found = roc(rows.iter().map(|row| (row.second, row.wrong())))?;
+    let found = roc(rows.iter().map(|row| (row.doubt(), row.wrong())))?;
     let line = format!(
         "\n{name}: area under the curve {:.3} ({} wrong, {} right); refusing 5 % of the right answers finds {:.0} % of the wrong ones, refusing 20 % finds {:.0} %.\n",
         found.area,
