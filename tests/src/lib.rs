@@ -3,8 +3,10 @@
 //! - [`binary`]: the `echofix` command, built once a test process.
 //! - [`service`]: the service as a process: started, killed, started again, ended, its log kept.
 //! - [`command`]: one run of the command, and what it said.
+//! - [`disk`]: a disk whose power can be cut.
 //! - [`http`]: what the operators' port answers.
 //! - [`grpc`]: clients of the vehicles' port, and refusals taken apart.
+//! - [`traffic`]: vehicles that upload without pause, and the list of what was acknowledged.
 //! - [`town`]: a town of two blocks, and drives in it.
 //! - [`mapping`]: a drive goes to the map.
 //! - [`tiles`]: the map as a caller gets it.
@@ -19,12 +21,14 @@
 pub mod asking;
 pub mod binary;
 pub mod command;
+pub mod disk;
 pub mod grpc;
 pub mod http;
 pub mod mapping;
 pub mod service;
 pub mod tiles;
 pub mod town;
+pub mod traffic;
 pub mod world;
 
 use std::time::{Duration, Instant};

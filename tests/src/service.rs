@@ -20,13 +20,24 @@ const ENDS_WITHIN: Duration = Duration::from_secs(12);
 /// a `static` it is never dropped: then a watchdog does the same once the test process is gone.
 pub struct Service {
     folder: TempDir,
-    settings: Vec<String>,
+    setup: Setup,
     process: Child,
     watchdog: Watchdog,
     /// `http://host:port` for vehicles.
     pub grpc: String,
     /// `http://host:port` for operators.
     pub http: String,
+}
+
+/// How a service is started.
+#[derive(Debug, Clone, Default)]
+pub struct Setup {
+    /// Keys to set, each as `section.key=value`.
+    pub settings: Vec<String>,
+    /// The data directory, if it is not to be one of the service's own folder.
+    pub data_dir: Option<PathBuf>,
+    /// A deliberate defect, by its name in `ECHOFIX_FAULT`.
+    pub fault: Option<&'static str>,
 }
 
 impl Service {
@@ -37,14 +48,23 @@ impl Service {
 
     /// The same with some keys set, each as `section.key=value`.
     pub fn start_with(settings: &[&str]) -> Self {
-        let folder = tempfile::tempdir().expect("a folder can be made");
         let settings = settings.iter().map(|&setting| setting.to_owned()).collect();
-        let process = launch(&folder, &settings);
-        let watchdog = Watchdog::over(&process, &folder);
-        let mut service =
-            Self { folder, settings, process, watchdog, grpc: String::new(), http: String::new() };
+        Self::start_as(Setup { settings, ..Setup::default() })
+    }
+
+    /// Starts a service in some other way.
+    pub fn start_as(setup: Setup) -> Self {
+        let mut service = Self::launch_as(setup);
         service.wait_until_ready();
         service
+    }
+
+    /// The same without waiting until it is ready.
+    pub fn launch_as(setup: Setup) -> Self {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let process = launch(&folder, &setup);
+        let watchdog = Watchdog::over(&process, &folder);
+        Self { folder, setup, process, watchdog, grpc: String::new(), http: String::new() }
     }
 
     /// Ends the process as a crash would: kill -9.
@@ -57,11 +77,16 @@ impl Service {
     /// Starts a killed or ended service again on the same data and waits until it is ready. It
     /// listens at other ports than before.
     pub fn start_again(&mut self) {
+        self.launch_again();
+        self.wait_until_ready();
+    }
+
+    /// The same without waiting.
+    pub fn launch_again(&mut self) {
         assert!(self.has_ended(), "the service still runs");
         self.watchdog.dismiss();
-        self.process = launch(&self.folder, &self.settings);
+        self.process = launch(&self.folder, &self.setup);
         self.watchdog = Watchdog::over(&self.process, &self.folder);
-        self.wait_until_ready();
     }
 
     /// Asks the process to end (SIGTERM), without waiting.
@@ -83,7 +108,7 @@ impl Service {
 
     /// The data directory.
     pub fn data_dir(&self) -> PathBuf {
-        self.folder.path().join("data")
+        data_dir(&self.folder, &self.setup)
     }
 
     /// A folder that goes with the service, for whatever a test has to write.
@@ -98,7 +123,24 @@ impl Service {
         fs::read_to_string(log_file(&self.folder)).unwrap_or_default()
     }
 
-    fn wait_until_ready(&mut self) {
+    /// Waits until a launched service is ready or has ended; says which.
+    pub fn becomes_ready(&mut self) -> bool {
+        until_blocking("the service is ready or ended", READY_WITHIN, || {
+            if self.has_ended() {
+                return Some(false);
+            }
+            let text = fs::read_to_string(address_file(&self.folder)).ok()?;
+            let bound = serde_json::from_str::<serde_json::Value>(&text).ok()?;
+            let http = format!("http://{}", bound["http"].as_str()?);
+            http::try_get(&format!("{http}/readyz")).filter(|answer| answer.status == 200).map(|_| true)
+        }) && {
+            self.wait_until_ready();
+            true
+        }
+    }
+
+    /// Waits until a launched service is ready.
+    pub fn wait_until_ready(&mut self) {
         let bound = until_blocking("the service tells its addresses", READY_WITHIN, || {
             assert!(!self.has_ended(), "the service did not start:\n{}", self.log());
             let text = fs::read_to_string(address_file(&self.folder)).ok()?;
@@ -126,18 +168,25 @@ impl Drop for Service {
     }
 }
 
-fn launch(folder: &TempDir, settings: &Vec<String>) -> Child {
+fn data_dir(folder: &TempDir, setup: &Setup) -> PathBuf {
+    setup.data_dir.clone().unwrap_or_else(|| folder.path().join("data"))
+}
+
+fn launch(folder: &TempDir, setup: &Setup) -> Child {
     let log = File::options().create(true).append(true).open(log_file(folder)).expect("a log can be written");
     // The addresses of the last start are not this one's.
     let _ = fs::remove_file(address_file(folder));
     let mut command = Command::new(binary::echofix());
-    command.arg("serve").arg("--data-dir").arg(folder.path().join("data"));
+    command.arg("serve").arg("--data-dir").arg(data_dir(folder, setup));
     command.arg("--addr-file").arg(address_file(folder));
     for setting in ["grpc.listen=127.0.0.1:0", "http.listen=127.0.0.1:0"] {
         command.args(["--set", setting]);
     }
-    for setting in settings {
+    for setting in &setup.settings {
         command.args(["--set", setting]);
+    }
+    if let Some(fault) = setup.fault {
+        command.env("ECHOFIX_FAULT", fault);
     }
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).spawn().expect("echofix can be run")
 }

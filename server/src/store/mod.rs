@@ -12,6 +12,7 @@
 mod catalog;
 mod data_dir;
 mod embedded;
+mod faults;
 mod fold;
 mod index;
 mod journal;

@@ -1,0 +1,123 @@
+//! Vehicles that upload without pause, and the list of what was acknowledged to them: the judge of crashes.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use echofix_proto::v1::mapping_service_client::MappingServiceClient;
+use echofix_proto::v1::upload_request::Part;
+use echofix_proto::v1::{UploadRequest, UploadResponse};
+use tokio::task::JoinSet;
+use tonic::transport::Channel;
+use uuid::Uuid;
+
+use crate::service::Service;
+use crate::{grpc, mapping, town};
+
+/// Vehicles that upload at once.
+const VEHICLES: u32 = 4;
+
+/// Short uploads without end, by their number.
+pub struct Uploads {
+    seed: u64,
+    /// A header and one chunk each.
+    templates: Vec<Vec<UploadRequest>>,
+    next: AtomicU32,
+}
+
+impl Uploads {
+    /// Parts of a drive through the town.
+    pub fn new(seed: u64) -> Self {
+        let drive = town::wander(&town::town(seed), 0, "mapper", seed, 300.0);
+        let short = |upload: &echofix_client::upload::Upload| upload.parts()[..2].to_vec();
+        let templates = mapping::uploads(&drive).iter().map(short).collect();
+        Self { seed, templates, next: AtomicU32::new(0) }
+    }
+
+    /// The number of an upload that was not sent yet.
+    pub fn fresh(&self) -> u32 {
+        self.next.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// An upload's messages: the same each time, under an id and from a contributor of its own.
+    pub fn parts(&self, number: u32) -> Vec<UploadRequest> {
+        let mut parts = self.templates[number as usize % self.templates.len()].clone();
+        if let Some(Part::Header(header)) = &mut parts[0].part {
+            header.upload_id = Uuid::from_u64_pair(self.seed, u64::from(number)).to_string();
+            header.contributor = format!("vehicle-{number}");
+        }
+        parts
+    }
+}
+
+/// What the vehicles know of their uploads.
+#[derive(Debug, Default)]
+pub struct Acknowledgements {
+    /// What was answered first.
+    pub answers: BTreeMap<u32, UploadResponse>,
+    /// Sent, but nobody knows whether they arrived.
+    pub open: Vec<u32>,
+}
+
+impl Acknowledgements {
+    /// Uploads without pause until the service is gone, which `end` brings about.
+    pub async fn until_gone(
+        &mut self,
+        uploads: &Arc<Uploads>,
+        service: &mut Service,
+        end: impl AsyncFnOnce(&mut Service),
+    ) {
+        let mut vehicles = JoinSet::new();
+        for _ in 0..VEHICLES {
+            vehicles.spawn(drive_on(grpc::mapping(service).await, Arc::clone(uploads)));
+        }
+        end(service).await;
+        while let Some(told) = vehicles.join_next().await {
+            let told = told.expect("a vehicle does not panic");
+            self.answers.extend(told.answers);
+            self.open.extend(told.open);
+        }
+    }
+
+    /// Sends again whatever was acknowledged of the uploads from a number on, which must be known by now, and
+    /// all that nobody knows of; returns the acknowledged ones that the service has lost. Afterwards all that was
+    /// ever sent is acknowledged.
+    pub async fn judge(&mut self, uploads: &Uploads, service: &Service, from: u32) -> Vec<u32> {
+        let mut client = grpc::mapping(service).await;
+        let mut lost = Vec::new();
+        for (number, first) in self.answers.range_mut(from..) {
+            let again = mapping::send(&mut client, &uploads.parts(*number)).await;
+            let again = again.expect("a retry is answered");
+            if !again.duplicate {
+                lost.push(*number);
+                *first = again;
+            }
+        }
+        for number in std::mem::take(&mut self.open) {
+            let answer =
+                mapping::send(&mut client, &uploads.parts(number)).await.expect("a retry is answered");
+            self.answers.insert(number, answer);
+        }
+        lost
+    }
+
+    /// Detections that the map must show: each upload's once.
+    pub fn detections(&self) -> u64 {
+        self.answers.values().map(|answer| answer.detections_counted).sum()
+    }
+}
+
+/// One vehicle: upload after upload, until one fails.
+async fn drive_on(mut client: MappingServiceClient<Channel>, uploads: Arc<Uploads>) -> Acknowledgements {
+    let mut told = Acknowledgements::default();
+    loop {
+        let number = uploads.fresh();
+        match mapping::send(&mut client, &uploads.parts(number)).await {
+            Ok(answer) => drop(told.answers.insert(number, answer)),
+            Err(_) => {
+                told.open.push(number);
+                return told;
+            }
+        }
+    }
+}
