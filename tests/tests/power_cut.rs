@@ -5,7 +5,6 @@
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,6 +15,9 @@ use echofix_tests::traffic::{Acknowledgements, Uploads};
 use echofix_tests::{mapping, tiles, town};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+/// The store that trusts `flush()`.
+const STORE: &str = env!("CARGO_BIN_EXE_sled_flush");
 
 fn cuts() -> u32 {
     std::env::var("ECHOFIX_POWER_CUTS")
@@ -100,7 +102,7 @@ fn a_store_that_acknowledges_on_the_flush_of_sled_is_caught() {
     for cut in 1..=cuts() {
         let moment = Duration::from_millis(rng.random_range(20..300));
         acknowledged.extend(written(&mut disk, moment));
-        let found = Command::new(example()).arg("read").arg(disk.path().join("sled")).output().unwrap();
+        let found = Command::new(STORE).arg("read").arg(disk.path().join("sled")).output().unwrap();
         let lines = String::from_utf8_lossy(&found.stdout);
         let found_numbers: BTreeSet<u64> = lines.lines().map(|line| line.parse().unwrap()).collect();
         let lost = acknowledged.difference(&found_numbers).count();
@@ -118,7 +120,7 @@ fn a_store_that_acknowledges_on_the_flush_of_sled_is_caught() {
 
 /// Writes until the power is cut; returns what was acknowledged.
 fn written(disk: &mut Disk, moment: Duration) -> BTreeSet<u64> {
-    let mut writer = Command::new(example());
+    let mut writer = Command::new(STORE);
     writer.arg("write").arg(disk.path().join("sled")).stdout(Stdio::piped());
     let mut writer = writer.spawn().unwrap();
     let lines = BufReader::new(writer.stdout.take().unwrap()).lines();
@@ -129,11 +131,4 @@ fn written(disk: &mut Disk, moment: Duration) -> BTreeSet<u64> {
     writer.wait().unwrap();
     disk.cut();
     reader.join().unwrap()
-}
-
-/// The program, which is built with the tests.
-fn example() -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    let profile = test.ancestors().nth(2).map(Path::to_owned).unwrap();
-    profile.join("examples/sled_flush")
 }
