@@ -9,7 +9,7 @@ use echofix_proto::v1::FixStatus;
 use echofix_tests::http::{Answer, Events, get, get_with, metric};
 use echofix_tests::service::Service;
 use echofix_tests::world::World;
-use echofix_tests::{grpc, mapping};
+use echofix_tests::{grpc, mapping, until_blocking};
 use tokio::sync::OnceCell;
 
 /// A mapped town on a service that logs all there is to log.
@@ -207,4 +207,25 @@ fn files(folder: &Path, found: &mut Vec<(String, Vec<u8>)>) {
             found.push((path.display().to_string(), fs::read(&path).expect("the file can be read")));
         }
     }
+}
+
+/// Catches a fast engine that nobody watches: breaks when answers are not asked again, or not counted.
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_are_confirmed_by_the_exhaustive_engine_and_counted() {
+    let world = World::mapped_with(Service::start_with(&["locating.confirm_share=1"])).await;
+    let mut client = grpc::localizing(&world.service).await;
+    let asked = world.questions(120.0, 3.0);
+    for case in &asked {
+        let answer = client.localize(case.request.clone()).await.expect("the question is answered");
+        assert_eq!(answer.into_inner().status(), FixStatus::Usable);
+    }
+    // It takes its time, after the answer.
+    let counted = until_blocking("all answers are confirmed", Duration::from_mins(2), || {
+        let metrics = ask(&world, "/metrics");
+        let [agree, differ] = ["agree", "differ"].map(|outcome| {
+            metric(metrics.text(), &format!("echofix_confirmations_total{{outcome=\"{outcome}\"}}"))
+        });
+        (agree + differ >= asked.len() as f64).then_some([agree, differ])
+    });
+    assert!(asked.len() >= 3 && counted == [asked.len() as f64, 0.0], "{counted:?} of {}", asked.len());
 }

@@ -5,10 +5,31 @@
 //! ECHOFIX_DATA_DIR=... cargo test -p echofix-tests --test real_radar -- --ignored
 //! ```
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
+use echofix_client::import::radiate;
+use echofix_core::align::engine::{Bounded, Engine, Fast, Fft, Question, Reference};
+use echofix_core::align::thin::{BLOCK_M, Thinner};
+use echofix_core::align::view::MapView;
+use echofix_core::align::weights::TileWeights;
+use echofix_core::align::{Lattice, Prior, Search};
+use echofix_core::batch::Batch;
+use echofix_core::drive::Drive;
+use echofix_core::evidence::{Pass, contribute};
+use echofix_core::geo::{Grid, TileId};
+use echofix_core::odometry::Trajectory;
+use echofix_core::pose::Pose2;
+use echofix_core::scan::Gate;
+use echofix_core::tile::{Ledger, Tile};
+use echofix_core::window::Frame;
+use echofix_sim::rng::normal;
+use echofix_tests::asking::percentile;
 use echofix_tests::command::echofix;
 use echofix_tests::service::Service;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 fn data(name: &str) -> String {
@@ -97,4 +118,138 @@ fn comma2k19_movers_are_dropped_and_too_little_is_never_usable() {
     let summary = &localized["summary"];
     eprintln!("{summary:#}");
     assert!(number(&summary["asked"]) > 0.0 && number(&summary["usable_share"]).abs() < 1e-12, "{summary:#}");
+}
+
+/// The fragment: its first nine scans as a map, the next nine to be found in it.
+struct Fragment {
+    drive: Drive,
+    grid: Grid,
+    truth: Trajectory,
+    scale: f64,
+    tiles: BTreeMap<TileId, Tile>,
+}
+
+/// Scans that make the map; the others are searched for.
+const MAPPED: usize = 9;
+/// Priors for each batch: the reference takes seconds for one.
+const PRIORS: usize = 2;
+
+impl Fragment {
+    fn read() -> Self {
+        let drive = radiate(data("radiate_tiny_foggy")).expect("the fragment can be read");
+        let grid = Grid::of(drive.truth[0].at).expect("Edinburgh lies inside UTM");
+        let scale = grid.scale_factor(drive.truth[0].at).expect("Edinburgh lies inside UTM");
+        let on_grid = drive.truth.iter().map(|p| {
+            (p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad).expect("Edinburgh lies inside UTM"))
+        });
+        let truth = Trajectory::new(on_grid).expect("the poses are in order");
+        let (scans, gate) = (&drive.scans[..MAPPED], Gate::default());
+        let (seen, _) = contribute(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
+            .expect("the radar is mounted");
+        let fold = |hits: &[_]| {
+            let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
+            tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, hits);
+            tile
+        };
+        let tiles = seen.tiles.iter().map(|(id, hits)| (*id, fold(hits))).collect();
+        Self { drive, grid, truth, scale, tiles }
+    }
+
+    /// The batch that ends with a scan, and where it was taken.
+    fn batch(&self, last: usize) -> (Batch, Pose2) {
+        let (scans, time_us) = (&self.drive.scans[MAPPED..=last], self.drive.scans[last].time_us);
+        let Drive { mounts, odometry, .. } = &self.drive;
+        let batch = Batch::organise(scans, mounts, odometry, time_us, &Gate::default());
+        let at = self.truth.at(time_us).expect("the poses cover the scans");
+        (batch.expect("the odometry covers the scans"), at)
+    }
+
+    fn weights(&self, frame: &Frame) -> Vec<Arc<TileWeights>> {
+        let known = frame.tiles().filter(|id| self.tiles.contains_key(id));
+        known.map(|id| Arc::new(TileWeights::new(id, |at| self.tiles.get(&at)))).collect()
+    }
+}
+
+/// What an engine found for each question.
+#[derive(Default)]
+struct Row {
+    name: &'static str,
+    maxima: Vec<(Pose2, u32)>,
+    /// Of the best hypothesis, which is rounded to cells and degrees: metres, radians.
+    errors: Vec<[f64; 2]>,
+}
+
+/// Real echoes through every engine. Catches an engine that is exact on made-up scenes only: on walls that
+/// are not straight, speckle and fog; breaks when a bound is one too low or a transform too coarse.
+#[test]
+#[ignore = "needs ECHOFIX_DATA_DIR"]
+fn every_exact_engine_finds_the_same_maximum_in_radiate_scans() {
+    let fragment = Fragment::read();
+    let mut engines: [Box<dyn Engine>; 4] = [
+        Box::new(Reference::default()),
+        Box::new(Fft::default()),
+        Box::new(Bounded::default()),
+        Box::new(Fast::default()),
+    ];
+    let mut rows = engines.each_ref().map(|e| Row { name: e.name(), ..Row::default() });
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    let (mut view, mut thinner, mut thinned, mut peaks) =
+        (MapView::default(), Thinner::default(), Vec::new(), Vec::new());
+    let search = Search::default();
+    for last in MAPPED..fragment.drive.scans.len() {
+        let (batch, truth) = fragment.batch(last);
+        thinner.thin(&batch.points, search.extent_m as f32, BLOCK_M, &mut thinned);
+        for _ in 0..PRIORS {
+            let (sigma_position_m, sigma_yaw_rad) = (2.0, 3_f64.to_radians());
+            let [east_m, north_m] = [0, 1].map(|_| normal(&mut rng, sigma_position_m));
+            let turn = normal(&mut rng, sigma_yaw_rad);
+            let pose = Pose2::new(truth.x_m + east_m, truth.y_m + north_m, truth.yaw_rad + turn);
+            let prior = Prior { pose, sigma_position_m, sigma_yaw_rad, scale: fragment.scale };
+            let frame = Frame::around(fragment.grid.zone(), [pose.x_m, pose.y_m], search.extent_m, 6.0);
+            view.show(frame, &fragment.weights(&frame));
+            let lattice = Lattice::of(&prior, &search);
+            let question = Question {
+                view: &view,
+                batch: &batch,
+                thinned: &thinned,
+                prior: &prior,
+                search: &search,
+                lattice,
+            };
+            for (engine, row) in engines.iter_mut().zip(&mut rows) {
+                engine.search(&question, &mut peaks);
+                let top = peaks.first().expect("an engine finds something");
+                row.maxima.push((top.correction, top.score));
+                let found = prior.corrected(&top.correction);
+                row.errors.push([found.distance_m(&truth), (found.yaw_rad - truth.yaw_rad).abs()]);
+            }
+        }
+    }
+    print_table(&rows);
+    let [reference, fft, bounded, fast] = &rows;
+    assert_eq!(fft.maxima, reference.maxima);
+    assert_eq!(bounded.maxima, reference.maxima);
+    // It counts thinned points: its maximum is another sum's, and near it.
+    for (found, exact) in fast.maxima.iter().zip(&reference.maxima) {
+        assert!(found.0.distance_m(&exact.0) < 0.5, "{found:?} {exact:?}");
+    }
+}
+
+fn print_table(rows: &[Row]) {
+    let exact = &rows[0].maxima;
+    eprintln!("| engine | reference's maximum | error p50 | p95 | worst | heading p95 |");
+    eprintln!("|---|---|---|---|---|---|");
+    for row in rows {
+        let same = row.maxima.iter().zip(exact).filter(|(a, b)| a.0 == b.0).count();
+        let of = |value: fn(&[f64; 2]) -> f64, share| percentile(row.errors.iter().map(value), share);
+        eprintln!(
+            "| {} | {same} of {} | {:.2} m | {:.2} m | {:.2} m | {:.2} deg |",
+            row.name,
+            exact.len(),
+            of(|e| e[0], 0.5),
+            of(|e| e[0], 0.95),
+            of(|e| e[0], 1.0),
+            of(|e| e[1], 0.95).to_degrees()
+        );
+    }
 }

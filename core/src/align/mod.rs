@@ -12,6 +12,7 @@
 //! [`Aligner`] runs the four for one request after the other.
 
 mod aligner;
+mod alternatives;
 mod cells;
 pub mod climb;
 pub mod combine;
@@ -29,6 +30,7 @@ pub mod view;
 pub mod weights;
 
 pub use aligner::{Aligner, EngineKind, Task};
+pub use alternatives::Alternatives;
 pub use correlation::{Correlation, Lattice};
 
 use crate::batch::Batch;
@@ -139,9 +141,8 @@ pub struct Alignment {
     pub correction: Pose2,
     /// Covariance of (east m, north m, yaw rad).
     pub covariance: [[f64; 3]; 3],
-    /// Other poses that explain the batch, as corrections with their score relative to the
-    /// answer's, best first.
-    pub alternatives: Vec<(Pose2, f64)>,
+    /// Other poses that explain the batch.
+    pub alternatives: Alternatives,
     /// Mean log weight of the batch's points on the smoothed map, above that of a random shift.
     pub score: f64,
     /// The answer's mean log weight relative to that of a random shift.

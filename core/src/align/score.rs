@@ -213,3 +213,30 @@ fn spline(f: f32) -> ([f32; 3], [f32; 3]) {
     let (low, high) = (0.5 - f, 0.5 + f);
     ([0.5 * low * low, 0.75 - f * f, 0.5 * high * high], [-low, -2.0 * f, high])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches an instruction set that sums in another order or contracts products: its poses would differ
+    /// from one machine to the next.
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        const SIDE: usize = 96;
+        let image: Vec<u8> = (0..SIDE * SIDE + 64).map(|i| (i * i * 31 + i * 7) as u8).collect();
+        let field = Field { image: &image, side: SIDE, origin: [0.0; 2], curve: [0.3, 0.004] };
+        let spread = |i: usize, step: f32| (i as f32 * step).fract() * 11.0 - 5.5;
+        for count in [0, 1, 15, 16, 17, 700] {
+            // Some of them beyond the border.
+            let points: Vec<_> =
+                (0..count).map(|i| [spread(i, 0.618), spread(i, 0.317), 1.0 / (1 + i % 3) as f32]).collect();
+            let sums = || Sums { field: &field, points: &points, from: [47.3, 48.1], turn: [3.1, 9.5] };
+            let bits = |isa: Isa| isa.run(sums()).map(f32::to_bits);
+            let plain = bits(Isa::PLAIN);
+            assert!(count < 15 || plain[0] != 0, "{count} points see something");
+            for isa in Isa::available() {
+                assert_eq!(bits(isa), plain, "{isa:?}, {count} points");
+            }
+        }
+    }
+}

@@ -6,10 +6,10 @@
 
 use nalgebra::Matrix3;
 
-use super::Alignment;
 use super::climb::Summit;
 use super::engine::Question;
 use super::score::Field;
+use super::{Alignment, Alternatives};
 use crate::geo::CELL_M;
 use crate::pose::Pose2;
 
@@ -192,14 +192,14 @@ impl Case<'_> {
     fn background(&self) -> f64 {
         const LATTICE: i32 = 2;
         let Question { prior, thinned, lattice, .. } = *self.question;
-        let sample: Vec<_> = thinned.iter().step_by(thinned.len() / SAMPLE + 1).collect();
+        let sample = || thinned.iter().step_by(thinned.len() / SAMPLE + 1);
         let step = lattice.half_widths().0.max(1.0) / f64::from(LATTICE);
         let shifts = (-LATTICE..=LATTICE).flat_map(|i| (-LATTICE..=LATTICE).map(move |j| (i, j)));
         let pose = |(i, j)| prior.corrected(&Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
         let (mut sum, mut count) = (0.0, 0.0);
         for shift in shifts {
-            sum += self.field.value(sample.iter().copied(), &pose(shift), prior.scale);
-            count += sample.len() as f64;
+            sum += self.field.value(sample(), &pose(shift), prior.scale);
+            count += sample().len() as f64;
         }
         if count > 0.0 { sum / count } else { 0.0 }
     }
@@ -230,16 +230,16 @@ impl Case<'_> {
     }
 
     /// Summits that are not the answer's, by their score above the background.
-    fn alternatives(&self, background: f64) -> Vec<(Pose2, f64)> {
-        let Some((best, rest)) = self.summits.split_first() else { return Vec::new() };
-        let mut others: Vec<(Pose2, f64)> = Vec::new();
+    fn alternatives(&self, background: f64) -> Alternatives {
+        let mut others = Alternatives::default();
+        let Some((best, rest)) = self.summits.split_first() else { return others };
         for other in rest {
             let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.question.search.separation_m;
             if distinct(&best.correction) && others.iter().all(|(pose, _)| distinct(pose)) {
                 // An answer that is no better than a random shift is rivalled by everything.
                 let above = best.score - background;
                 let relative = if above > 0.0 { (other.score - background) / above } else { 1.0 };
-                others.push((other.correction, relative.clamp(0.0, 1.0)));
+                others.push(other.correction, relative.clamp(0.0, 1.0));
             }
         }
         others
@@ -303,12 +303,18 @@ fn worst_sigma_m(covariance: &[[f64; 3]; 3]) -> f64 {
 pub(super) mod tests {
     use super::*;
 
+    fn other(x_m: f64, y_m: f64, relative_score: f64) -> Alternatives {
+        let mut others = Alternatives::default();
+        others.push(Pose2::new(x_m, y_m, 0.0), relative_score);
+        others
+    }
+
     pub(in crate::align) fn answer() -> Alignment {
         Alignment {
             pose: Pose2::IDENTITY,
             correction: Pose2::IDENTITY,
             covariance: [[0.04, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 1e-6]],
-            alternatives: vec![(Pose2::new(5.0, 0.0, 0.0), 0.3)],
+            alternatives: other(5.0, 0.0, 0.3),
             score: 1.0,
             contrast: 3.0,
             margin: 20.0,
@@ -336,7 +342,7 @@ pub(super) mod tests {
         assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::MapStale { .. }));
         assert!(matches!(judged(|a| a.contrast = 1.0), Verdict::Lost { .. }));
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
-        let aside = judged(|a| (a.margin, a.alternatives[0]) = (1.0, (Pose2::new(0.0, 5.0, 0.0), 0.99)));
+        let aside = judged(|a| (a.margin, a.alternatives) = (1.0, other(0.0, 5.0, 0.99)));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);

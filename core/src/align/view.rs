@@ -34,6 +34,14 @@ pub struct Square {
 }
 
 impl Square {
+    /// Writes down which square it is, in the place of the last one.
+    pub fn note(slot: &mut Option<Self>, frame: Frame, tiles: &[Arc<TileWeights>]) {
+        let square = slot.get_or_insert_with(|| Self { frame, tiles: Vec::new() });
+        square.frame = frame;
+        square.tiles.clear();
+        square.tiles.extend_from_slice(tiles);
+    }
+
     /// True when these are the same tiles of the same square.
     #[must_use]
     pub fn is(&self, frame: Frame, tiles: &[Arc<TileWeights>]) -> bool {
@@ -56,7 +64,7 @@ impl MapView {
         if self.square.as_ref().is_some_and(|shown| shown.is(frame, tiles)) {
             return;
         }
-        self.square = Some(Square { frame, tiles: tiles.to_vec() });
+        Square::note(&mut self.square, frame, tiles);
         let coarse_side = frame.side / COARSE;
         // Tiles that are all there overwrite everything.
         let whole = frame.tiles().count() == tiles.len();

@@ -1,6 +1,8 @@
 //! `LocalizationService`: where am I?
 
 mod encode;
+#[cfg(test)]
+mod tests;
 
 use std::pin::Pin;
 use std::sync::Arc;

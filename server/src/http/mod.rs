@@ -21,7 +21,7 @@ mod openapi;
 mod probes;
 mod raster;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
 use std::sync::Arc;
 

@@ -256,7 +256,8 @@ impl Locator {
             return Err(too_few(batch, min_detections));
         }
         let bound = |what, given: f64, most: f64| {
-            if given > most { Err(Refusal::PriorTooUncertain { what, given, most }) } else { Ok(()) }
+            // What is no number, as the root of an overflow, is within no limit.
+            if given <= most { Ok(()) } else { Err(Refusal::PriorTooUncertain { what, given, most }) }
         };
         bound("the position (m)", *sigma_position_m, max_sigma_position_m)?;
         bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())

@@ -35,10 +35,14 @@ pub struct Bounded {
     /// The largest weight of the 8 x 8 cells north-east of each cell: columns of one remainder by 8
     /// side by side, so that neighbouring blocks of shifts are neighbours in memory.
     bounds: Vec<u8>,
+    /// The same, row by row.
+    largest: Vec<u8>,
     once: Once,
     /// Occupied cells by heading.
     occupied: Vec<Vec<u32>>,
     places: Vec<u32>,
+    /// Bounds of a heading's blocks, a strip of columns at a time.
+    sums: Vec<[u32; STRIP]>,
     left: Vec<Block>,
 }
 
@@ -75,8 +79,9 @@ impl Engine for Bounded {
         self.fast.search(question, peaks);
         self.refresh(question);
         let headings = question.lattice.headings();
-        self.occupied.resize_with(headings, Vec::new);
-        for (heading, occupied) in self.occupied.iter_mut().enumerate() {
+        // Those of a wider search are kept for the next one.
+        self.occupied.resize_with(self.occupied.len().max(headings), Vec::new);
+        for (heading, occupied) in self.occupied[..headings].iter_mut().enumerate() {
             question.occupied(heading, &mut self.once, occupied);
         }
         let mut best = Best::default();
@@ -120,8 +125,8 @@ impl Bounded {
     fn refresh(&mut self, question: &Question) {
         let square = question.view.square();
         if !self.of.as_ref().is_some_and(|of| of.is(square.frame, &square.tiles)) {
-            bounds(&question.view.fine(), &mut self.bounds);
-            self.of = Some(square.clone());
+            bounds(&question.view.fine(), &mut self.largest, &mut self.bounds);
+            Square::note(&mut self.of, square.frame, &square.tiles);
         }
     }
 
@@ -172,7 +177,7 @@ impl Bounded {
         let (lattice, side) = (question.lattice, question.view.frame().side);
         let blocks = lattice.width().div_ceil(BLOCK);
         let wide = side / BLOCK;
-        let mut sums = vec![[0_u32; STRIP]; blocks];
+        self.sums.resize(blocks, [0; STRIP]);
         self.left.clear();
         for heading in 0..lattice.headings() {
             self.places.clear();
@@ -185,9 +190,9 @@ impl Bounded {
             }));
             for first in (0..blocks).step_by(STRIP) {
                 let strips = Strips::<STRIP> { image: &self.bounds, stride: BLOCK * wide, rows: blocks };
-                sums.fill([0; STRIP]);
-                strips.add(self.isa, &self.places, &mut sums);
-                for (row, sums) in sums.iter().enumerate() {
+                self.sums.fill([0; STRIP]);
+                strips.add(self.isa, &self.places, &mut self.sums);
+                for (row, sums) in self.sums.iter().enumerate() {
                     let columns = STRIP.min(blocks - first);
                     let reach = sums[..columns].iter().enumerate().filter(|(_, bound)| **bound >= sum);
                     self.left.extend(reach.map(|(column, bound)| Block {
@@ -204,9 +209,10 @@ impl Bounded {
 }
 
 /// Writes the largest of the 8 x 8 weights north-east of each cell, columns sorted by remainder.
-fn bounds(shown: &Shown, out: &mut Vec<u8>) {
+fn bounds(shown: &Shown, largest: &mut Vec<u8>, out: &mut Vec<u8>) {
     let side = shown.side;
-    let mut largest = shown.image[..side * side].to_vec();
+    largest.clear();
+    largest.extend_from_slice(&shown.image[..side * side]);
     for reach in [1, 2, 4] {
         for row in largest.chunks_exact_mut(side) {
             for x in 0..side - reach {

@@ -25,7 +25,10 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
     /// True when the strips of a place lie inside the image.
     #[must_use]
     pub fn fits(&self, place: usize) -> bool {
-        place + self.rows.saturating_sub(1) * self.stride + WIDTH <= self.image.len()
+        // What overflows fits nowhere: the reads below rest on this.
+        let rows = self.rows.saturating_sub(1).checked_mul(self.stride);
+        let end = rows.and_then(|rows| rows.checked_add(place)?.checked_add(WIDTH));
+        end.is_some_and(|end| end <= self.image.len())
     }
 
     /// Adds to `sums[row][column]` the bytes at `place + row * stride + column` of every place.
@@ -97,4 +100,69 @@ fn added<const WIDTH: usize>(mut sums: [u16; WIDTH], strip: [u8; WIDTH]) -> [u16
         sums[i] += u16::from(strip[i]);
     }
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Miri takes some ten thousand times as long; fewer places than a block holds would miss its seam.
+    const SEEDS: u64 = if cfg!(miri) { 2 } else { 200 };
+
+    /// Numbers without a library, for Miri reads all of it.
+    fn random(state: &mut u64) -> usize {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 33) as usize
+    }
+
+    /// Strips of a random image that end with it, and places of which one is the last that fits.
+    fn every_set_sums_like_the_definition<const WIDTH: usize>(seed: u64) {
+        let state = &mut { seed };
+        let (stride, rows) = (WIDTH + random(state) % 9, 1 + random(state) % 11);
+        let last = random(state) % 40;
+        // An allocation of its own, as long as it must be: a read beyond it is one beyond the memory.
+        // The largest bytes are those that overflow.
+        let byte = |_| if seed % 4 == 0 { 255 } else { random(state) as u8 };
+        let image: Box<[u8]> = (0..last + (rows - 1) * stride + WIDTH).map(byte).collect();
+        let mut places: Vec<u32> = (0..600).map(|_| (random(state) % (last + 1)) as u32).collect();
+        places[random(state) % 600] = last as u32;
+        let strips = Strips::<WIDTH> { image: &image, stride, rows };
+        assert!(strips.fits(last) && !strips.fits(last + 1));
+        let at = |row: usize, column: usize| {
+            let values = places.iter().map(|place| image[*place as usize + row * stride + column]);
+            7 + values.map(u32::from).sum::<u32>()
+        };
+        for isa in Isa::available() {
+            let mut sums = vec![[7_u32; WIDTH]; rows + 1];
+            strips.add(isa, &places, &mut sums);
+            for (row, sums) in sums[..rows].iter().enumerate() {
+                assert_eq!(*sums, std::array::from_fn(|column| at(row, column)), "{isa:?}, seed {seed}");
+            }
+            assert_eq!(sums[rows], [7; WIDTH], "{isa:?} writes no further");
+        }
+    }
+
+    /// Catches a 16-bit sum that overflows, a row that is left out, and a read beyond the image: that one
+    /// under Miri.
+    #[test]
+    fn sums_are_those_of_the_definition_on_every_instruction_set() {
+        for seed in 0..SEEDS {
+            every_set_sums_like_the_definition::<16>(seed);
+            every_set_sums_like_the_definition::<32>(seed);
+        }
+    }
+
+    #[test]
+    fn what_overflows_does_not_fit() {
+        let strips = Strips::<16> { image: &[0; 64], stride: usize::MAX / 2 + 1, rows: 3 };
+        assert!(!strips.fits(0));
+        assert!(!Strips::<16> { stride: 1, rows: 1, ..strips }.fits(usize::MAX));
+    }
+
+    #[test]
+    #[should_panic(expected = "places fit the image")]
+    fn a_place_that_does_not_fit_is_not_read() {
+        let strips = Strips::<16> { image: &[0; 64], stride: 16, rows: 4 };
+        strips.add(Isa::PLAIN, &[0, 1], &mut [[0; 16]; 4]);
+    }
 }
