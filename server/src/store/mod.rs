@@ -22,7 +22,6 @@ mod testing;
 #[cfg(test)]
 mod tests;
 mod tiles;
-mod varint;
 
 pub use embedded::{EmbeddedStore, Options};
 
