@@ -2,7 +2,7 @@
 
 mod kept;
 
-pub use kept::{KeptScan, for_each_kept, for_each_scan};
+pub use kept::{KeptScan, for_each_scan};
 
 use crate::odometry::Trajectory;
 use crate::pose::Pose2;

@@ -12,7 +12,8 @@
 //! - [`doppler`]: movers, the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
 //! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
-//! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec.
+//! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
+//! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
 //! - [`align`]: `fast_global_align`, its engine, the refinement and the verdict.
@@ -30,5 +31,7 @@ pub mod geo;
 pub mod odometry;
 pub mod pose;
 pub mod scan;
+mod sealed;
 pub mod tile;
+pub mod varint;
 pub mod window;

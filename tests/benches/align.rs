@@ -53,9 +53,9 @@ impl Scene {
             let poses = on_grid(&grid, &seen.reference);
             let (contribution, _) = contribute(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
                 .expect("every sensor is mounted");
-            for (id, hits) in &contribution.tiles {
+            for (id, share) in &contribution.tiles {
                 let (tile, ledger) = tiles.entry(*id).or_default();
-                tile.fold(ledger, Pass { day: 20_000, contributor }, hits);
+                tile.fold(ledger, Pass { day: 20_000, contributor }, share);
             }
         }
         let lost = drive(3, 99);

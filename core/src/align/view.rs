@@ -150,6 +150,7 @@ fn paste(from: &[u8], from_side: i64, to: &mut [u8], to_side: i64, at: [i64; 2])
 mod tests {
     use super::*;
     use crate::evidence::Cell;
+    use crate::evidence::presence::ALWAYS;
     use crate::geo::{CELL_M, Zone};
     use crate::tile::Tile;
 
@@ -158,7 +159,8 @@ mod tests {
         let zone = Zone::from_epsg(32614).unwrap();
         let place = [600_010.0, 3_300_020.0];
         let id = TileId::of(zone, place);
-        let cells = (0..2000).map(|i| (i * 131, Cell { hits: 1 + i % 7, passes: 2, ..Cell::default() }));
+        let cell = |i| Cell { hits: 1 + i % 7, passes: 2, presence: ALWAYS, ..Cell::default() };
+        let cells = (0..2000).map(|i| (i * 131, cell(i)));
         let tile = Tile::from_cells(cells.collect()).unwrap();
         let weights = Arc::new(TileWeights::new(id, |at| (at == id).then_some(&tile)));
         let frame = Frame::around(zone, place, 50.0, 6.0);

@@ -1,7 +1,9 @@
 //! The map as weights: smoothed to the sensor's noise, logarithmic, a byte a cell.
 //!
-//! `log(1 + smoothed hits / knee)` neither saturates after a few hits, as occupancy does, nor lets
-//! one bright cell outvote a wall. Bytes keep a tile in a quarter of a megabyte and sums exact, so
+//! `log(1 + smoothed mass / knee)` neither saturates after a few hits, as occupancy does, nor lets
+//! one bright cell outvote a wall. A cell's mass is the hits that a pass with it in view makes, on
+//! average ([`Cell::mass`]): a crowd's map weighs what a single survey's does, and what stands
+//! weighs more than what was there once. Bytes keep a tile in a quarter of a megabyte and sums exact, so
 //! that every engine finds the same maximum.
 
 use crate::agreement::PointIndex;
@@ -11,11 +13,10 @@ use crate::tile::Tile;
 
 /// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
 const SIGMA_M: f64 = 0.2;
-/// Smoothed hits, for each pass that a typical hit's cell has seen, at which a weight starts to grow
-/// like a logarithm: a crowd's map holds as many times the hits of a single survey's, and as many
-/// times the clutter. Far below one hit: the hill of the true pose then stands out from the others;
-/// for its summit the weights are squared (see [`super::score::Field::sharpened`]).
-const KNEE_PER_PASS: f64 = 0.01;
+/// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the hill of
+/// the true pose then stands out from the others; for its summit the weights are squared (see
+/// [`super::score::Field::sharpened`]).
+const KNEE: f32 = 0.01;
 /// The kernel ends here, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
 /// Steps of a cell to which a kernel's centre is rounded.
@@ -54,8 +55,7 @@ impl TileWeights {
         let empty = Tile::default();
         let own = tile_at(id).unwrap_or(&empty);
         let placed = around(id, &tile_at);
-        let passes = typical_passes(placed.iter().map(|(_, cell)| *cell));
-        let fine = smoothed(&placed, KNEE_PER_PASS * mean(passes));
+        let fine = smoothed(&placed);
         let [x0, y0] = id.origin();
         let points = PointIndex::new(placed.iter().map(|([x, y], _)| [x0 + x * CELL_M, y0 + y * CELL_M]));
         Self {
@@ -122,7 +122,7 @@ pub fn mean([weighted, hits]: [f64; 2]) -> f64 {
     if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 
-fn smoothed(placed: &[([f64; 2], &Cell)], knee: f64) -> Box<[u8]> {
+fn smoothed(placed: &[([f64; 2], &Cell)]) -> Box<[u8]> {
     let side = SIDE as i64;
     let mut sums = vec![0.0_f32; SIDE * SIDE];
     let kernels = Kernels::new();
@@ -135,18 +135,17 @@ fn smoothed(placed: &[([f64; 2], &Cell)], knee: f64) -> Box<[u8]> {
         if columns.is_empty() {
             continue;
         }
-        let hits = cell.hits as f32;
+        let mass = cell.mass() as f32;
         let kx = &kx[columns.start as usize..columns.end as usize];
         for row in rows {
-            let weight = hits * ky[row as usize];
+            let weight = mass * ky[row as usize];
             let from = ((y0 + row) * side + x0 + columns.start) as usize;
             for (sum, tap) in sums[from..from + kx.len()].iter_mut().zip(kx) {
                 *sum += weight * tap;
             }
         }
     }
-    let knee = knee as f32;
-    let weight = |sum: f32| if sum > 0.0 { ((1.0 + sum / knee).ln() * STEPS).round() as u8 } else { 0 };
+    let weight = |sum: f32| if sum > 0.0 { ((1.0 + sum / KNEE).ln() * STEPS).round() as u8 } else { 0 };
     sums.into_iter().map(weight).collect()
 }
 
@@ -189,6 +188,7 @@ impl Kernels {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evidence::presence::ALWAYS;
     use crate::geo::Zone;
 
     fn id() -> TileId {
@@ -199,6 +199,7 @@ mod tests {
         let cell = |offset: [u32; 2]| Cell {
             hits: 4,
             passes: 1,
+            presence: ALWAYS,
             offset_sum: offset.map(|o| 4 * o),
             ..Cell::default()
         };

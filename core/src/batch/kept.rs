@@ -21,6 +21,27 @@ pub struct KeptScan<'a> {
     pub points: &'a [[f32; 2]],
 }
 
+impl KeptScan<'_> {
+    /// The radar in the trajectory's frame; `scale` is the frame's metres per sensor metre: 1 for
+    /// odometry, the grid's point scale factor for poses on the map.
+    #[must_use]
+    pub fn sensor(&self, scale: f64) -> Pose2 {
+        let Mount { x_m, y_m, yaw_rad } = *self.mount;
+        self.body.compose(&Pose2::new(scale * x_m, scale * y_m, yaw_rad))
+    }
+
+    /// The points in the trajectory's frame, metres; `scale` as for [`KeptScan::sensor`].
+    pub fn placed(&self, scale: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let sensor = self.sensor(scale);
+        let (s, c) = sensor.yaw_rad.sin_cos();
+        let (s, c) = (scale * s, scale * c);
+        self.points.iter().map(move |point| {
+            let [x, y] = point.map(f64::from);
+            [sensor.x_m + c * x - s * y, sensor.y_m + s * x + c * y]
+        })
+    }
+}
+
 /// Walks over scans and gives what passes the gate, scan by scan.
 ///
 /// # Errors
@@ -58,36 +79,6 @@ where
         visit(KeptScan { time_us: scan.time_us, body, mount, points });
     }
     Ok(dropped)
-}
-
-/// Walks over the detections that pass the gate, giving each as a point in the trajectory's frame.
-///
-/// `scale` is the frame's metres per sensor metre: 1 for odometry, the grid's point scale factor
-/// for poses on the map. `visit` gets the time of the scan, microseconds, and the point, metres.
-///
-/// # Errors
-/// When a scan names an unknown sensor.
-pub fn for_each_kept<'a, S>(
-    scans: S,
-    mounts: &[Mount],
-    trajectory: &Trajectory,
-    gate: &Gate,
-    scale: f64,
-    mut visit: impl FnMut(i64, [f64; 2]),
-) -> Result<Dropped, Error>
-where
-    S: IntoIterator<Item: Into<ScanView<'a>>>,
-{
-    for_each_scan(scans, mounts, trajectory, gate, |scan| {
-        let Mount { x_m, y_m, yaw_rad } = *scan.mount;
-        let sensor = scan.body.compose(&Pose2::new(scale * x_m, scale * y_m, yaw_rad));
-        let (s, c) = sensor.yaw_rad.sin_cos();
-        let (s, c) = (scale * s, scale * c);
-        for point in scan.points {
-            let [x, y] = point.map(f64::from);
-            visit(scan.time_us, [sensor.x_m + c * x - s * y, sensor.y_m + s * x + c * y]);
-        }
-    })
 }
 
 /// Detections that are looked at together.
@@ -214,9 +205,9 @@ mod tests {
                 }
             }
             let mut found = Vec::new();
-            let dropped = for_each_kept([&scan], &[mount], &trajectory, &gate, 1.0, |at_us, point| {
-                assert_eq!(at_us, time_us);
-                found.push(point);
+            let dropped = for_each_scan([&scan], &[mount], &trajectory, &gate, |kept| {
+                assert_eq!(kept.time_us, time_us);
+                found.extend(kept.placed(1.0));
             });
             prop_assert_eq!(dropped, Ok(expected.0));
             prop_assert_eq!(found.len(), expected.1.len());

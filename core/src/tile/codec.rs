@@ -1,37 +1,27 @@
 //! The bytes of a tile and of a ledger.
 //!
 //! ```text
-//! magic "EFT" or "EFL" | format version (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
+//! magic "EFT" or "EFL" | format version 2 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
 //! ```
 //!
 //! The frame holds LEB128 varints, one column after the other: a column's values resemble each
-//! other, so they pack better together than cell by cell. Indices are stored as distances.
+//! other, so they pack better together than cell by cell. Indices are stored as distances, presences
+//! as what is missing from always; of blocks, only those that are not 0.
 
-use std::collections::BTreeSet;
-
+use super::ledger::Votes;
 use super::{CELLS, Ledger, Tile};
+use crate::evidence::codec::{blocks, put_blocks};
+use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
+pub use crate::sealed::DecodeError;
+use crate::sealed::{self, Kind};
+use crate::varint::{Reader, Writer};
 
-const TILE_MAGIC: [u8; 4] = *b"EFT\x01";
-const LEDGER_MAGIC: [u8; 4] = *b"EFL\x01";
-const HEADER: usize = 8;
+const TILE: Kind = Kind { magic: *b"EFT", version: 2 };
+const LEDGER: Kind = Kind { magic: *b"EFL", version: 2 };
 const ZSTD_LEVEL: i32 = 3;
 /// A full tile's columns stay below this; anything larger is not ours.
 const MAX_DECODED: usize = 16 << 20;
-
-/// Why bytes are not a tile or a ledger.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum DecodeError {
-    /// Too short, or it does not start as it should.
-    #[error("these bytes are not of this kind, or of a newer format version")]
-    NotOurs,
-    /// The checksum does not match.
-    #[error("the checksum does not match: the bytes are damaged")]
-    Checksum,
-    /// The content does not follow the format.
-    #[error("the content does not follow the format")]
-    Malformed,
-}
 
 /// The bytes of a tile.
 #[must_use]
@@ -44,12 +34,16 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
     out.put_ascending(cells.iter().map(|(index, _)| *index));
     out.put_all(cells.iter().map(|(_, c)| u64::from(c.hits)));
     out.put_all(cells.iter().map(|(_, c)| u64::from(c.passes)));
+    out.put_all(cells.iter().map(|(_, c)| u64::from(c.contributors)));
+    out.put_all(cells.iter().map(|(_, c)| u64::from(ALWAYS - c.presence)));
     out.put_all(cells.iter().map(|(_, c)| u64::from(c.first_day - base_day)));
     out.put_all(cells.iter().map(|(_, c)| u64::from(c.last_day - c.first_day)));
     for axis in [0, 1] {
         out.put_all(cells.iter().map(|(_, c)| u64::from(c.offset_sum[axis])));
     }
-    out.seal(TILE_MAGIC)
+    put_sparse(&mut out, &tile.observed[..]);
+    put_sparse(&mut out, &tile.support[..]);
+    TILE.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
 }
 
 /// The tile of its bytes.
@@ -57,11 +51,15 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
 /// # Errors
 /// When the bytes are not a tile's, are damaged, or break the format.
 pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
-    let body = unseal(bytes, TILE_MAGIC)?;
-    let mut input = Reader { rest: &body };
-    let count = input.count(CELLS)?;
+    let frame = TILE.unseal(bytes)?;
+    let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
+    tile(&mut Reader { rest: &body }).ok_or(DecodeError::Malformed)
+}
+
+fn tile(input: &mut Reader<'_>) -> Option<Tile> {
+    let count = input.count()?;
     let base_day: u16 = input.get()?;
-    let index = input.ascending(count)?;
+    let index = input.ascending(count, CELLS)?;
     let mut cells = vec![Cell::default(); count];
     for cell in &mut cells {
         cell.hits = input.get()?;
@@ -70,21 +68,28 @@ pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
         cell.passes = input.get()?;
     }
     for cell in &mut cells {
-        cell.first_day = base_day.checked_add(input.get()?).ok_or(DecodeError::Malformed)?;
+        cell.contributors = input.get()?;
     }
     for cell in &mut cells {
-        cell.last_day = cell.first_day.checked_add(input.get()?).ok_or(DecodeError::Malformed)?;
+        cell.presence = ALWAYS - input.get::<u16>()?;
+    }
+    for cell in &mut cells {
+        cell.first_day = base_day.checked_add(input.get()?)?;
+    }
+    for cell in &mut cells {
+        cell.last_day = cell.first_day.checked_add(input.get()?)?;
     }
     for axis in [0, 1] {
         for cell in &mut cells {
-            cell.offset_sum[axis] = input.get()?;
-            if u64::from(cell.offset_sum[axis]) > u64::from(cell.hits) * u64::from(OFFSET_STEPS) {
-                return Err(DecodeError::Malformed);
-            }
+            let most = u64::from(cell.hits) * u64::from(OFFSET_STEPS);
+            cell.offset_sum[axis] = input.get().filter(|sum| u64::from(*sum) <= most)?;
         }
     }
+    let mut tile = Tile { cells: index.into_iter().zip(cells).collect(), ..Tile::default() };
+    sparse(input, &mut tile.observed[..])?;
+    sparse(input, &mut tile.support[..])?;
     input.finish()?;
-    Tile::from_cells(index.into_iter().zip(cells).collect()).ok_or(DecodeError::Malformed)
+    Some(tile)
 }
 
 /// The bytes of a ledger.
@@ -92,13 +97,14 @@ pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
 pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
     let mut out = Writer::default();
     out.put(ledger.iter().count() as u64);
-    for (pass, cells) in ledger.iter() {
+    for (pass, votes) in ledger.iter() {
         out.put(u64::from(pass.day));
         out.put(pass.contributor);
-        out.put(cells.len() as u64);
-        out.put_ascending(cells.iter().copied());
+        out.put(votes.cells.len() as u64);
+        out.put_ascending(votes.cells.iter().copied());
+        put_blocks(&mut out, &votes.observed);
     }
-    out.seal(LEDGER_MAGIC)
+    LEDGER.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
 }
 
 /// The ledger of its bytes.
@@ -106,135 +112,48 @@ pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
 /// # Errors
 /// When the bytes are not a ledger's, are damaged, or break the format.
 pub fn decode_ledger(bytes: &[u8]) -> Result<Ledger, DecodeError> {
-    let body = unseal(bytes, LEDGER_MAGIC)?;
-    let mut input = Reader { rest: &body };
-    let passes = input.count(u32::MAX)?;
-    let mut votes: Vec<(Pass, BTreeSet<u32>)> = Vec::new();
+    let frame = LEDGER.unseal(bytes)?;
+    let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
+    ledger(&mut Reader { rest: &body }).ok_or(DecodeError::Malformed)
+}
+
+fn ledger(input: &mut Reader<'_>) -> Option<Ledger> {
+    let passes = input.count()?;
+    let mut votes: Vec<(Pass, Votes)> = Vec::new();
     for _ in 0..passes {
         let pass = Pass { day: input.get()?, contributor: input.get()? };
-        let count = input.count(CELLS)?;
-        votes.push((pass, input.ascending(count)?.into_iter().collect()));
+        let count = input.count()?;
+        let cells = input.ascending(count, CELLS)?.into_iter().collect();
+        votes.push((pass, Votes { cells, observed: blocks(input)? }));
     }
     input.finish()?;
-    Ok(votes.into_iter().collect())
+    Some(votes.into_iter().collect())
 }
 
-#[derive(Default)]
-struct Writer {
-    bytes: Vec<u8>,
+/// The values that are not 0: their number, their places, and they.
+fn put_sparse<T: Copy + Into<u64>>(out: &mut Writer, values: &[T]) {
+    let set =
+        || (0_u32..).zip(values).map(|(at, value)| (at, (*value).into())).filter(|(_, value)| *value != 0);
+    out.put(set().count() as u64);
+    out.put_ascending(set().map(|(at, _)| at));
+    out.put_all(set().map(|(_, value)| value));
 }
 
-impl Writer {
-    fn put(&mut self, mut value: u64) {
-        while value >= 0x80 {
-            self.bytes.push(value as u8 | 0x80);
-            value >>= 7;
-        }
-        self.bytes.push(value as u8);
+/// What [`put_sparse`] wrote, into zeros.
+fn sparse<T: TryFrom<u64>>(input: &mut Reader<'_>, values: &mut [T]) -> Option<()> {
+    let count = input.count()?;
+    for at in input.ascending(count, values.len() as u32)? {
+        let value = input.get::<u64>().filter(|value| *value != 0)?;
+        values[at as usize] = T::try_from(value).ok()?;
     }
-
-    fn put_all(&mut self, values: impl Iterator<Item = u64>) {
-        values.for_each(|value| self.put(value));
-    }
-
-    /// Strictly increasing values, as the distance from the one before (the first from -1), less 1.
-    fn put_ascending(&mut self, values: impl Iterator<Item = u32>) {
-        let mut next = 0;
-        for value in values {
-            self.put(u64::from(value - next));
-            next = value + 1;
-        }
-    }
-
-    fn seal(self, magic: [u8; 4]) -> Vec<u8> {
-        let frame = zstd::bulk::compress(&self.bytes, ZSTD_LEVEL)
-            .expect("compressing into a buffer of the library's own bound cannot fail");
-        let mut out = Vec::with_capacity(HEADER + frame.len());
-        out.extend_from_slice(&magic);
-        out.extend_from_slice(&crc32c::crc32c(&frame).to_le_bytes());
-        out.extend_from_slice(&frame);
-        out
-    }
-}
-
-fn unseal(bytes: &[u8], magic: [u8; 4]) -> Result<Vec<u8>, DecodeError> {
-    let (head, rest) = bytes.split_first_chunk::<4>().ok_or(DecodeError::NotOurs)?;
-    let (sum, frame) = rest.split_first_chunk::<4>().ok_or(DecodeError::NotOurs)?;
-    if *head != magic {
-        return Err(DecodeError::NotOurs);
-    }
-    if crc32c::crc32c(frame) != u32::from_le_bytes(*sum) {
-        return Err(DecodeError::Checksum);
-    }
-    zstd::bulk::decompress(frame, MAX_DECODED).map_err(|_| DecodeError::Malformed)
-}
-
-struct Reader<'a> {
-    rest: &'a [u8],
-}
-
-impl Reader<'_> {
-    fn varint(&mut self) -> Result<u64, DecodeError> {
-        let mut value = 0_u64;
-        for shift in (0..64).step_by(7) {
-            let (byte, rest) = self.rest.split_first().ok_or(DecodeError::Malformed)?;
-            self.rest = rest;
-            let bits = u64::from(byte & 0x7f);
-            if (bits << shift) >> shift != bits {
-                return Err(DecodeError::Malformed);
-            }
-            value |= bits << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        Err(DecodeError::Malformed)
-    }
-
-    fn get<T: TryFrom<u64>>(&mut self) -> Result<T, DecodeError> {
-        T::try_from(self.varint()?).map_err(|_| DecodeError::Malformed)
-    }
-
-    /// A count that must not exceed `most`, nor what the remaining bytes could hold.
-    fn count(&mut self, most: u32) -> Result<usize, DecodeError> {
-        let count: u32 = self.get()?;
-        if count > most || count as usize > self.rest.len() {
-            Err(DecodeError::Malformed)
-        } else {
-            Ok(count as usize)
-        }
-    }
-
-    fn ascending(&mut self, count: usize) -> Result<Vec<u32>, DecodeError> {
-        let mut next = 0_u32;
-        (0..count)
-            .map(|_| {
-                let value =
-                    next.checked_add(self.get()?).filter(|v| *v < CELLS).ok_or(DecodeError::Malformed)?;
-                next = value + 1;
-                Ok(value)
-            })
-            .collect()
-    }
-
-    fn finish(&self) -> Result<(), DecodeError> {
-        if self.rest.is_empty() { Ok(()) } else { Err(DecodeError::Malformed) }
-    }
+    Some(())
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::uploads;
+    use super::super::tests::{folded, uploads};
     use super::*;
     use proptest::prelude::*;
-
-    fn folded(uploads: &[(Pass, Vec<crate::evidence::CellHits>)]) -> (Tile, Ledger) {
-        let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-        for (pass, hits) in uploads {
-            tile.fold(&mut ledger, *pass, hits);
-        }
-        (tile, ledger)
-    }
 
     proptest! {
         #[test]
@@ -253,13 +172,12 @@ mod tests {
         }
 
         #[test]
-        fn garbage_is_refused_without_panic(mut body in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn garbage_is_refused_without_panic(body in prop::collection::vec(any::<u8>(), 0..200)) {
             prop_assert!(decode(&body).is_err());
-            // Past the checksum, too.
-            let sealed = Writer { bytes: std::mem::take(&mut body) }.seal(TILE_MAGIC);
-            let _ = decode(&sealed);
-            let sealed = Writer { bytes: sealed }.seal(LEDGER_MAGIC);
-            let _ = decode_ledger(&sealed);
+            // Past the checksum, and past the compression, too.
+            let _ = decode(&TILE.seal(&body));
+            let _ = decode(&TILE.seal(&sealed::compressed(&body, 1)));
+            let _ = decode_ledger(&LEDGER.seal(&sealed::compressed(&body, 1)));
         }
     }
 
@@ -270,6 +188,12 @@ mod tests {
             assert!(decode(&bytes[..end]).is_err(), "{end}");
         }
         assert_eq!(decode_ledger(&bytes), Err(DecodeError::NotOurs));
+    }
+
+    #[test]
+    fn tiles_of_the_first_format_are_refused_with_what_to_do() {
+        let error = decode(b"EFT\x01....").unwrap_err();
+        assert_eq!(error, DecodeError::Version { found: 1, known: 2 });
     }
 
     #[test]

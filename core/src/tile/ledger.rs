@@ -1,81 +1,174 @@
-//! Who voted for which cell, while it matters.
+//! Who voted for which cell and had what in view, while it matters.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::evidence::Pass;
+use super::CELLS;
+use crate::evidence::{Pass, SUPPORT_BLOCKS, Share, ViewBlocks, support_block, view_block};
 
 /// Days a pass stays open, counted back from the newest one.
 const OPEN_DAYS: u16 = 30;
 /// Votes one tile's ledger holds, at most: some megabytes.
 const MAX_VOTES: usize = 500_000;
+/// Votes that a pass's blocks in view take the place of.
+const OBSERVED_VOTES: usize = 32;
 
-/// The cells each recent pass has voted for in one tile.
+/// What a pass has said of one tile.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Votes {
+    /// Cells it hit.
+    pub cells: BTreeSet<u32>,
+    /// Blocks it had in view.
+    pub observed: ViewBlocks,
+}
+
+/// What the open passes have said of one tile.
 ///
 /// It is bounded: passes older than a month, and the oldest ones beyond half a million votes, are
-/// closed. Should one of them vote again, it counts as another pass.
+/// closed. Should one of them vote again, it counts as another pass, and its contributor as another
+/// one unless a later pass of the same contributor is open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ledger {
-    votes: BTreeMap<Pass, BTreeSet<u32>>,
+    passes: BTreeMap<Pass, Votes>,
+}
+
+/// What is new in a share.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct News {
+    /// Of each cell, in order.
+    pub(super) cells: Vec<CellNews>,
+    /// Blocks the pass had not had in view yet.
+    pub(super) observed: ViewBlocks,
+    /// Support blocks in which no open pass of the contributor had a hit yet.
+    pub(super) supported: Vec<usize>,
+}
+
+/// What is new about a hit of a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct CellNews {
+    /// The pass had not voted for it yet.
+    pub(super) pass: bool,
+    /// No open pass of the contributor had.
+    pub(super) contributor: bool,
 }
 
 impl Ledger {
-    /// Records a pass's votes and says for each cell, in order, whether it is that pass's first.
-    pub(super) fn vote(&mut self, pass: Pass, cells: impl Iterator<Item = u32>) -> Vec<bool> {
-        let voted = self.votes.entry(pass).or_default();
-        let first_votes = cells.map(|cell| voted.insert(cell)).collect();
+    /// Records what an upload of a pass says of the tile, and tells what is new in it.
+    pub(super) fn record(&mut self, pass: Pass, share: &Share) -> News {
+        let mut known = Known::of(self, pass.contributor);
+        let votes = self.passes.entry(pass).or_default();
+        let cells = share.cells.iter().map(|hit| CellNews {
+            pass: votes.cells.insert(hit.index),
+            contributor: known.cells.insert(hit.index as usize),
+        });
+        let cells = cells.collect();
+        let blocks = share.cells.iter().map(|hit| support_block(hit.index));
+        let supported = blocks.filter(|block| known.blocks.insert(*block)).collect();
+        let hit: ViewBlocks = share.cells.iter().map(|hit| view_block(hit.index)).collect();
+        let in_view = share.observed.union(&hit);
+        let observed = in_view.without(&votes.observed);
+        votes.observed = votes.observed.union(&in_view);
         self.close_oldest(MAX_VOTES);
-        first_votes
+        News { cells, observed, supported }
     }
 
     /// Depends on the votes alone, so that folding again from nothing gives the same ledger.
     fn close_oldest(&mut self, max_votes: usize) {
-        if let Some((newest, _)) = self.votes.last_key_value() {
+        if let Some((newest, _)) = self.passes.last_key_value() {
             self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
         }
-        let mut votes: usize = self.votes.values().map(BTreeSet::len).sum();
-        while votes > max_votes
-            && let Some((_, closed)) = self.votes.pop_first()
+        let size = |votes: &Votes| votes.cells.len() + OBSERVED_VOTES;
+        let mut held: usize = self.passes.values().map(size).sum();
+        while held > max_votes
+            && let Some((_, closed)) = self.passes.pop_first()
         {
-            votes -= closed.len();
+            held -= size(&closed);
         }
     }
 
     /// Forgets passes of days before `day`: their uploads are no longer accepted, so they cannot
     /// vote again.
     pub fn forget_before(&mut self, day: u16) {
-        self.votes = self.votes.split_off(&Pass { day, contributor: 0 });
+        self.passes = self.passes.split_off(&Pass { day, contributor: 0 });
     }
 
-    /// Passes and their cells, in order.
-    pub fn iter(&self) -> impl Iterator<Item = (Pass, &BTreeSet<u32>)> {
-        self.votes.iter().map(|(pass, cells)| (*pass, cells))
+    /// Passes and what they said, in order.
+    pub fn iter(&self) -> impl Iterator<Item = (Pass, &Votes)> {
+        self.passes.iter().map(|(pass, votes)| (*pass, votes))
     }
 
     /// True when no pass can vote twice.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.votes.is_empty()
+        self.passes.is_empty()
     }
 }
 
-impl FromIterator<(Pass, BTreeSet<u32>)> for Ledger {
-    fn from_iter<I: IntoIterator<Item = (Pass, BTreeSet<u32>)>>(iter: I) -> Self {
-        Self { votes: iter.into_iter().collect() }
+impl FromIterator<(Pass, Votes)> for Ledger {
+    fn from_iter<I: IntoIterator<Item = (Pass, Votes)>>(iter: I) -> Self {
+        Self { passes: iter.into_iter().collect() }
+    }
+}
+
+/// What a contributor's open passes have hit.
+struct Known {
+    cells: Bits,
+    blocks: Bits,
+}
+
+impl Known {
+    fn of(ledger: &Ledger, contributor: u64) -> Self {
+        let mut known = Self { cells: Bits::new(CELLS as usize), blocks: Bits::new(SUPPORT_BLOCKS) };
+        for (_, votes) in ledger.iter().filter(|(pass, _)| pass.contributor == contributor) {
+            for cell in &votes.cells {
+                known.cells.insert(*cell as usize);
+                known.blocks.insert(support_block(*cell));
+            }
+        }
+        known
+    }
+}
+
+/// A set of small numbers.
+struct Bits {
+    words: Vec<u64>,
+}
+
+impl Bits {
+    fn new(limit: usize) -> Self {
+        Self { words: vec![0; limit.div_ceil(64)] }
+    }
+
+    /// Adds a number below the limit; true when it was not there yet.
+    fn insert(&mut self, value: usize) -> bool {
+        let (word, bit) = (&mut self.words[value / 64], 1 << (value % 64));
+        let new = *word & bit == 0;
+        *word |= bit;
+        new
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::hits;
     use super::*;
+
+    fn share(cells: impl IntoIterator<Item = u32>) -> Share {
+        Share::of_hits(hits(&cells.into_iter().map(|index| (index, 1)).collect()))
+    }
+
+    /// What is new about cells, as (pass, contributor).
+    fn new_cells(news: &News) -> Vec<(bool, bool)> {
+        news.cells.iter().map(|cell| (cell.pass, cell.contributor)).collect()
+    }
 
     #[test]
     fn the_ledger_is_bounded_in_days_and_votes() {
         let mut ledger = Ledger::default();
         for day in 0..100 {
-            ledger.vote(Pass { day, contributor: 1 }, 0..10);
+            ledger.record(Pass { day, contributor: 1 }, &share(0..10));
         }
         assert_eq!(ledger.iter().count(), usize::from(OPEN_DAYS) + 1);
-        ledger.close_oldest(25);
+        ledger.close_oldest(2 * (10 + OBSERVED_VOTES) + 1);
         let left: Vec<_> = ledger.iter().map(|(pass, _)| pass.day).collect();
         assert_eq!(left, [98, 99]);
     }
@@ -84,11 +177,45 @@ mod tests {
     fn old_passes_are_forgotten_and_the_rest_kept() {
         let mut ledger = Ledger::default();
         for day in 10..13 {
-            ledger.vote(Pass { day, contributor: 7 }, [1, 2].into_iter());
+            ledger.record(Pass { day, contributor: 7 }, &share([1, 2]));
         }
         ledger.forget_before(12);
         let left: Vec<_> = ledger.iter().map(|(pass, _)| pass.day).collect();
         assert_eq!(left, [12]);
-        assert_eq!(ledger.vote(Pass { day: 12, contributor: 7 }, [2, 3].into_iter()), [false, true]);
+        let news = ledger.record(Pass { day: 12, contributor: 7 }, &share([2, 3]));
+        assert_eq!(new_cells(&news), [(false, false), (true, true)]);
+    }
+
+    /// Fails when contributors are told apart by their passes.
+    #[test]
+    fn a_contributor_is_new_once_while_a_pass_of_it_is_open() {
+        let mut ledger = Ledger::default();
+        let mut record = |day, contributor, cells: &[u32]| {
+            ledger.record(Pass { day, contributor }, &share(cells.iter().copied()))
+        };
+        let first = record(10, 1, &[0, 9]);
+        assert_eq!((new_cells(&first), first.supported), (vec![(true, true); 2], vec![0, 1]));
+        let again = record(11, 1, &[0, 1, 20]);
+        assert_eq!(new_cells(&again), [(true, false), (true, true), (true, true)]);
+        assert_eq!(again.supported, [2], "cell 1 shares a block with cell 0");
+        let other = record(11, 2, &[0]);
+        assert_eq!((new_cells(&other), other.supported), (vec![(true, true)], vec![0]));
+        let later = record(60, 1, &[0]);
+        assert_eq!((new_cells(&later), later.supported), (vec![(true, false)], vec![]), "closed by this one");
+        let last = record(95, 2, &[0]);
+        assert_eq!((new_cells(&last), last.supported), (vec![(true, true)], vec![0]), "closed long ago");
+    }
+
+    #[test]
+    fn blocks_are_observed_once_a_pass_and_those_hit_always_are() {
+        let mut ledger = Ledger::default();
+        let pass = Pass { day: 10, contributor: 1 };
+        let mut seen = share([0]);
+        seen.observed = [5].into_iter().collect();
+        let observed = |news: News| news.observed.iter().collect::<Vec<_>>();
+        assert_eq!(observed(ledger.record(pass, &seen)), [0, 5]);
+        seen.observed = [5, 6].into_iter().collect();
+        assert_eq!(observed(ledger.record(pass, &seen)), [6]);
+        assert_eq!(observed(ledger.record(Pass { day: 11, ..pass }, &seen)), [0, 5, 6]);
     }
 }

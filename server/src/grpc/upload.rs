@@ -277,10 +277,10 @@ fn same_day(offsets_us: &[i64], field: &str) -> Result<(), Violation> {
 /// The answer, without what only the journal knows.
 fn response(id: Uuid, contributed: &Contributed) -> UploadResponse {
     let Contributed { contribution, dropped, .. } = contributed;
-    let tile = |(id, cells): (&_, &Vec<echofix_core::evidence::CellHits>)| TileContribution {
+    let tile = |(id, share): (&_, &echofix_core::evidence::Share)| TileContribution {
         tile: Some(tile_id(*id)),
-        cells: cells.len() as u32,
-        detections: cells.iter().map(|cell| cell.hits).sum(),
+        cells: share.cells.len() as u32,
+        detections: share.cells.iter().map(|cell| cell.hits).sum(),
     };
     UploadResponse {
         upload_id: id.to_string(),

@@ -11,7 +11,7 @@ use axum::body::{Body, to_bytes};
 use axum::http::{Method, Request};
 use axum::response::Response;
 use bytes::Bytes;
-use echofix_core::evidence::Cell;
+use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Tile, encode};
 use tokio::sync::watch;
@@ -53,8 +53,15 @@ impl FakeStore {
     pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
         let store = Self::default();
         for (id, cells) in tiles {
-            let cell =
-                |passes| Cell { hits: 2 * passes, passes, first_day: DAY, last_day: DAY, offset_sum: [0; 2] };
+            let cell = |passes: u32| Cell {
+                hits: 2 * passes,
+                passes,
+                contributors: passes.min(255) as u8,
+                presence: presence::ALWAYS,
+                first_day: DAY,
+                last_day: DAY,
+                offset_sum: [0; 2],
+            };
             let cells = cells.iter().map(|(index, passes)| (*index, cell(*passes))).collect();
             store.put(*id, Tile::from_cells(cells).unwrap());
         }

@@ -1,7 +1,6 @@
 //! How well does a contribution agree with the map that exists?
 
 use echofix_core::agreement::PointIndex;
-use echofix_core::evidence::CellHits;
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
 use echofix_core::tile::Tile;
 
@@ -24,10 +23,10 @@ pub fn agreement(store: &dyn MapStore, contributed: &Contributed) -> Result<Opti
     let (mut map, mut asked) = (Vec::new(), Vec::new());
     let own = |id: &TileId| contributed.own_zones.contains(&id.zone);
     let own_tiles: Vec<_> = contributed.contribution.tiles.iter().filter(|(id, _)| own(id)).collect();
-    for &(id, cells) in spread(&own_tiles, MAX_TILES) {
+    for &(id, share) in spread(&own_tiles, MAX_TILES) {
         if let Some(stored) = store.tile(*id)? {
             map.extend(mapped(*id, &stored.tile));
-            asked.extend(cells.iter().map(|cell| hit(*id, cell)));
+            asked.extend(share.cells.iter().map(|cell| place(*id, cell.index, cell.centroid())));
         }
     }
     if asked.is_empty() {
@@ -47,13 +46,7 @@ fn mapped(id: TileId, tile: &Tile) -> impl Iterator<Item = [f64; 2]> + '_ {
     tile.cells().iter().map(move |(index, cell)| place(id, *index, cell.centroid()))
 }
 
-/// Map metres of the middle of a cell's new hits.
-fn hit(id: TileId, cell: &CellHits) -> [f64; 2] {
-    let hits =
-        echofix_core::evidence::Cell { hits: cell.hits, offset_sum: cell.offset_sum, ..Default::default() };
-    place(id, cell.index, hits.centroid())
-}
-
+/// Map metres of a place in a cell.
 fn place(id: TileId, index: u32, within: [f64; 2]) -> [f64; 2] {
     let side = CELLS_PER_TILE as u32;
     let [x0, y0] = id.origin();

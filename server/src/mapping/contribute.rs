@@ -5,13 +5,12 @@ use std::collections::hash_map::Entry;
 
 use echofix_core::batch::{self, Dropped};
 use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{self, Contribution};
+use echofix_core::evidence::{Contribution, Gathering};
 use echofix_core::geo::{self, Grid, Zone};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::scan::{Mount, Scan};
 
 use super::MappingConfig;
-use super::merge::merge;
 use super::stretch::{Stretch, cut};
 
 /// A stretch of a drive as it was uploaded, its columns sound.
@@ -98,7 +97,7 @@ pub enum Refusal {
 /// # Errors
 /// When nothing of it counts, or it lies where there is no map.
 pub fn contribute(mut submission: Submission, config: &MappingConfig) -> Result<Contributed, Refusal> {
-    let mut placing = Placing { config, grids: HashMap::new(), result: Contributed::default(), uncertain: 0 };
+    let mut placing = Placing::new(config);
     for chunk in &mut submission.chunks {
         chunk.scans.sort_by_key(|scan| scan.time_us);
         placing.chunk(&submission.mounts, chunk)?;
@@ -110,12 +109,28 @@ pub fn contribute(mut submission: Submission, config: &MappingConfig) -> Result<
 struct Placing<'a> {
     config: &'a MappingConfig,
     grids: HashMap<Zone, Grid>,
-    result: Contributed,
+    gathering: Gathering,
+    /// Detections that count.
+    detections: u64,
+    dropped: Dropped,
+    own_zones: Vec<Zone>,
     /// Poses that were not known well enough.
     uncertain: usize,
 }
 
-impl Placing<'_> {
+impl<'a> Placing<'a> {
+    fn new(config: &'a MappingConfig) -> Self {
+        Self {
+            config,
+            grids: HashMap::new(),
+            gathering: Gathering::default(),
+            detections: 0,
+            dropped: Dropped::default(),
+            own_zones: Vec::new(),
+            uncertain: 0,
+        }
+    }
+
     fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), Refusal> {
         let cut = cut(&chunk.poses, self.config)?;
         self.uncertain += cut.uncertain;
@@ -124,11 +139,11 @@ impl Placing<'_> {
             let [first, .., last] = &stretch.poses[..] else { continue };
             let (before, rest) = scans.split_at(scans.partition_point(|scan| scan.time_us < first.time_us));
             let (covered, rest) = rest.split_at(rest.partition_point(|scan| scan.time_us <= last.time_us));
-            self.result.dropped.without_pose += detections(before);
+            self.dropped.without_pose += detections(before);
             self.stretch(stretch, covered, mounts)?;
             scans = rest;
         }
-        self.result.dropped.without_pose += detections(scans);
+        self.dropped.without_pose += detections(scans);
         Ok(())
     }
 
@@ -145,16 +160,15 @@ impl Placing<'_> {
             let poses = Trajectory::new(poses.collect::<Result<Vec<_>, geo::Error>>()?)?;
             let scale = grid.scale_factor(stretch.poses[stretch.poses.len() / 2].at)?;
             let gate = self.config.gate();
-            let (part, dropped) = evidence::contribute(*zone, scans, mounts, &poses, scale, &gate)?;
+            let (placed, dropped) = self.gathering.add(*zone, scans, mounts, &poses, scale, &gate)?;
             if rank == 0 {
-                self.result.contribution.detections += part.detections;
+                self.detections += placed;
                 self.drop(dropped);
-                if !self.result.own_zones.contains(zone) {
-                    self.result.own_zones.push(*zone);
+                if !self.own_zones.contains(zone) {
+                    self.own_zones.push(*zone);
                 }
             }
-            merge(&mut self.result.contribution, part);
-            let (tiles, most) = (self.result.contribution.tiles.len(), self.config.max_upload_tiles);
+            let (tiles, most) = (self.gathering.tiles(), self.config.max_upload_tiles);
             if tiles > most {
                 return Err(Refusal::TooManyTiles { tiles, most });
             }
@@ -163,7 +177,7 @@ impl Placing<'_> {
     }
 
     fn drop(&mut self, dropped: Dropped) {
-        let all = &mut self.result.dropped;
+        let all = &mut self.dropped;
         all.too_slow += dropped.too_slow;
         all.too_far += dropped.too_far;
         all.moving += dropped.moving;
@@ -172,11 +186,11 @@ impl Placing<'_> {
 
     /// Something must count; if nothing does, the main reason is told.
     fn finish(self, sent: u64) -> Result<Contributed, Refusal> {
-        let Self { config, result, uncertain, .. } = self;
-        if result.contribution.detections > 0 {
-            return Ok(result);
+        let Self { config, gathering, detections, dropped, own_zones, uncertain, .. } = self;
+        if detections > 0 {
+            return Ok(Contributed { contribution: gathering.finish(detections), dropped, own_zones });
         }
-        let Dropped { too_slow, too_far, moving, without_pose } = result.dropped;
+        let Dropped { too_slow, too_far, moving, without_pose } = dropped;
         let main = too_slow.max(too_far).max(moving).max(without_pose);
         Err(if main > 0 && main == without_pose && uncertain > 0 {
             let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);

@@ -1,4 +1,4 @@
-use echofix_core::evidence::{Cell, CellHits};
+use echofix_core::evidence::{CellHits, Pass};
 use echofix_core::geo::{CELL_M, LatLon, TileId};
 use proptest::prelude::*;
 
@@ -33,12 +33,11 @@ fn contributed(submission: Submission) -> Result<Contributed, Refusal> {
 /// Map metres of all hits.
 fn places(contributed: &Contributed) -> Vec<[f64; 2]> {
     let place = |id: &TileId, hit: &CellHits| {
-        let cell = Cell { hits: hit.hits, offset_sum: hit.offset_sum, ..Cell::default() };
-        let ([x, y], [fx, fy]) = (id.origin(), cell.centroid());
+        let ([x, y], [fx, fy]) = (id.origin(), hit.centroid());
         [x + (f64::from(hit.index % 512) + fx) * CELL_M, y + (f64::from(hit.index / 512) + fy) * CELL_M]
     };
     let tiles = contributed.contribution.tiles.iter();
-    tiles.flat_map(|(id, cells)| cells.iter().map(|cell| place(id, cell))).collect()
+    tiles.flat_map(|(id, share)| share.cells.iter().map(|cell| place(id, cell))).collect()
 }
 
 #[test]
@@ -65,7 +64,7 @@ fn near_a_border_both_zones_hold_the_same_places() {
     assert_eq!(result.own_zones.iter().map(|zone| zone.epsg()).collect::<Vec<_>>(), [32631]);
     let hits = |epsg| -> u32 {
         let tiles = result.contribution.tiles.iter().filter(|(id, _)| id.zone.epsg() == epsg);
-        tiles.flat_map(|(_, cells)| cells).map(|cell| cell.hits).sum()
+        tiles.flat_map(|(_, share)| &share.cells).map(|cell| cell.hits).sum()
     };
     assert_eq!((hits(32631), hits(32632)), (21, 21));
 }
@@ -142,7 +141,7 @@ fn agreement_tells_a_good_upload_from_a_shifted_one() {
     let first = contributed(drive(AUSTIN, 41)).unwrap();
     assert_eq!(agreement(&store, &first).unwrap(), None, "there is no map yet");
     let contribution = first.contribution.clone();
-    let pass = evidence::Pass { day: 1, contributor: 1 };
+    let pass = Pass { day: 1, contributor: 1 };
     let id = uuid::Uuid::nil();
     store.commit(Upload { id, pass, forget_before: 0, contribution, answer: vec![] }).unwrap();
     let mut progress = store.progress();

@@ -7,7 +7,6 @@
 mod agreement;
 mod config;
 mod contribute;
-mod merge;
 mod stretch;
 
 pub use agreement::agreement;

@@ -23,7 +23,6 @@ mod testing;
 #[cfg(test)]
 mod tests;
 mod tiles;
-mod varint;
 
 pub use embedded::{EmbeddedStore, Options};
 

@@ -52,9 +52,9 @@ fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Bytes)> {
 fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Bytes)> {
     let mut tiles: BTreeMap<TileId, (u64, Tile, Ledger)> = BTreeMap::new();
     for (number, upload) in (1..).zip(uploads) {
-        for (id, cells) in &upload.contribution.tiles {
+        for (id, share) in &upload.contribution.tiles {
             let (version, tile, ledger) = tiles.entry(*id).or_default();
-            tile.fold(ledger, upload.pass, cells);
+            tile.fold(ledger, upload.pass, share);
             *version = number;
         }
     }

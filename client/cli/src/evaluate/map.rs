@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Context;
 use echofix_core::drive::{Drive, GeoPose};
-use echofix_core::evidence::{self, Pass};
+use echofix_core::evidence::{Gathering, Pass};
 use echofix_core::geo::{Grid, TileId, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::{Gate, Scan};
@@ -73,7 +73,7 @@ impl RadarMap {
     pub fn add(&mut self, drive: &Drive, contributor: u64, max_sigma_m: f64) -> anyhow::Result<()> {
         let grid = Grid::new(self.zone)?;
         let scans = self.gated(drive);
-        let mut mapped = false;
+        let (mut gathering, mut day) = (Gathering::default(), None);
         for poses in stretches(&drive.reference, max_sigma_m) {
             let scale = grid.scale_factor(poses[0].at)?;
             let trajectory = on_grid(&grid, poses)?;
@@ -81,22 +81,21 @@ impl RadarMap {
             let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
             // Movers are gone already, and odometry told them better than absolute poses would.
             let gate = Movers::Kept.gate();
-            let (contribution, _) =
-                evidence::contribute(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
-            let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US)).unwrap_or_default();
-            for (id, hits) in contribution.tiles {
-                // A drive goes in at once, so that no ledger has to remember it.
-                let pass = Pass { day, contributor };
-                self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &hits);
-            }
-            mapped = true;
+            gathering.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
+            day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
         }
-        mapped.then_some(()).with_context(|| {
+        let day = day.with_context(|| {
             format!(
                 "the drive of `{}` has no reference pose known to {max_sigma_m} m to map from",
                 drive.vehicle
             )
-        })
+        })?;
+        for (id, share) in gathering.finish(0).tiles {
+            // A drive goes in at once, so that no ledger has to remember it.
+            let pass = Pass { day, contributor };
+            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &share);
+        }
+        Ok(())
     }
 
     /// The drive's scans, their movers dropped where the map is one without.

@@ -94,6 +94,7 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
             let entry = cells.entry(((cell.y - first.y) * 512 + cell.x - first.x) as u32).or_default();
             entry.hits += 1;
             entry.passes = 1;
+            entry.presence = crate::evidence::presence::ALWAYS;
             let fraction = |v: f64, c: i64| (((v / CELL_M) - c as f64) * 256.0) as u32;
             entry.offset_sum[0] += fraction(point[0], cell.x).min(255);
             entry.offset_sum[1] += fraction(point[1], cell.y).min(255);

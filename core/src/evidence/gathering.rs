@@ -1,0 +1,203 @@
+//! Scans and poses become a contribution.
+
+use std::collections::BTreeMap;
+
+use super::view::Views;
+use super::{CellHits, Contribution, OFFSET_STEPS, Share};
+use crate::batch::{self, Dropped};
+use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use crate::odometry::Trajectory;
+use crate::scan::{Gate, Mount, Scan};
+
+/// Gathers what an upload contributes, part by part: into how many parts a drive is cut, and in
+/// which order they come, does not matter.
+#[derive(Debug, Default)]
+pub struct Gathering {
+    tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>>,
+    views: Views,
+}
+
+impl Gathering {
+    /// Places scans on the map of one zone: `poses` are body poses on the zone's grid and `scale` its
+    /// point scale factor there. Returns the number of detections that were placed, and the others.
+    ///
+    /// # Errors
+    /// When a scan names an unknown sensor.
+    pub fn add(
+        &mut self,
+        zone: Zone,
+        scans: &[Scan],
+        mounts: &[Mount],
+        poses: &Trajectory,
+        scale: f64,
+        gate: &Gate,
+    ) -> Result<(u64, Dropped), batch::Error> {
+        let mut placed = 0;
+        let dropped = batch::for_each_scan(scans, mounts, poses, gate, |scan| {
+            let sensor = scan.sensor(scale);
+            scan.placed(scale).for_each(|point| self.hit(zone, point));
+            self.views.see(zone, [sensor.x_m, sensor.y_m], scan.placed(scale));
+            placed += scan.points.len() as u64;
+        })?;
+        Ok((placed, dropped))
+    }
+
+    fn hit(&mut self, zone: Zone, point: [f64; 2]) {
+        let cell = CellIndex::of(point);
+        let tile = TileId::of_cell(zone, cell);
+        let first = tile.first_cell();
+        let index = (cell.y - first.y) as u32 * CELLS_PER_TILE as u32 + (cell.x - first.x) as u32;
+        let steps = |value: f64, cell: i64| {
+            let fraction = value / CELL_M - cell as f64;
+            ((fraction * f64::from(OFFSET_STEPS)) as u32).min(OFFSET_STEPS - 1)
+        };
+        let entry = self.tiles.entry(tile).or_default().entry(index).or_insert(CellHits {
+            index,
+            hits: 0,
+            offset_sum: [0, 0],
+        });
+        entry.hits += 1;
+        entry.offset_sum[0] += steps(point[0], cell.x);
+        entry.offset_sum[1] += steps(point[1], cell.y);
+    }
+
+    /// Tiles in which something was hit so far.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.tiles.len()
+    }
+
+    /// All of it; `detections` are those that count, each in one zone only.
+    #[must_use]
+    pub fn finish(self, detections: u64) -> Contribution {
+        let mut observed = self.views.observed(|id| self.tiles.contains_key(id));
+        let share = |(id, cells): (TileId, BTreeMap<u32, CellHits>)| {
+            let mut share = Share::of_hits(cells.into_values().collect());
+            share.observed = share.observed.union(&observed.remove(&id).unwrap_or_default());
+            (id, share)
+        };
+        Contribution { tiles: self.tiles.into_iter().map(share).collect(), detections }
+    }
+}
+
+/// What scans of one zone contribute, see [`Gathering::add`].
+///
+/// # Errors
+/// When a scan names an unknown sensor.
+pub fn contribute(
+    zone: Zone,
+    scans: &[Scan],
+    mounts: &[Mount],
+    poses: &Trajectory,
+    scale: f64,
+    gate: &Gate,
+) -> Result<(Contribution, Dropped), batch::Error> {
+    let mut gathering = Gathering::default();
+    let (placed, dropped) = gathering.add(zone, scans, mounts, poses, scale, gate)?;
+    Ok((gathering.finish(placed), dropped))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::{VIEW_BLOCK_CELLS, view_block};
+    use crate::pose::Pose2;
+    use proptest::prelude::*;
+
+    fn zone() -> Zone {
+        Zone::from_epsg(32614).unwrap()
+    }
+
+    /// East at 10 m/s from (600000, 3300000), a pose every 100 ms.
+    fn eastward() -> Trajectory {
+        let pose = |i: i64| Pose2::new(600_000.0 + i as f64, 3_300_000.0, 0.0);
+        Trajectory::new((0..=100).map(|i| (i * 100_000, pose(i)))).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn every_detection_lands_in_the_cell_below_it(
+            x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64,
+        ) {
+            let mut gathering = Gathering::default();
+            gathering.hit(zone(), [x, y]);
+            let contribution = gathering.finish(1);
+            let (id, share) = contribution.tiles.first_key_value().unwrap();
+            let hit = share.cells[0];
+            let ([x0, y0], [fx, fy]) = (id.origin(), hit.centroid());
+            let (cx, cy) = (hit.index % 512, hit.index / 512);
+            prop_assert!((x0 + (f64::from(cx) + fx) * CELL_M - x).abs() < CELL_M / 256.0 + 1e-6);
+            prop_assert!((y0 + (f64::from(cy) + fy) * CELL_M - y).abs() < CELL_M / 256.0 + 1e-6);
+            prop_assert!(share.observed.contains(view_block(hit.index)));
+        }
+
+        /// Fails when what was in view is told scan by scan, or part by part.
+        #[test]
+        fn the_cut_into_parts_does_not_matter(
+            rows in prop::collection::vec((0..100_i64, 2.0..45.0_f32, -3.0..3.0_f32), 1..200), cut in 0..100_i64,
+        ) {
+            let scan = |time: i64| {
+                let seen = || rows.iter().filter(move |row| row.0 == time);
+                Scan {
+                    time_us: time * 100_000,
+                    range_m: seen().map(|row| row.1).collect(),
+                    azimuth_rad: seen().map(|row| row.2).collect(),
+                    ..Scan::default()
+                }
+            };
+            let scans: Vec<Scan> = (0..100).map(scan).collect();
+            let (poses, mounts, gate) = (eastward(), [Mount::IDENTITY], Gate::default());
+            let (whole, _) = contribute(zone(), &scans, &mounts, &poses, 1.0, &gate).unwrap();
+            let mut gathering = Gathering::default();
+            let (early, late) = scans.split_at(cut as usize);
+            for part in [late, early] {
+                gathering.add(zone(), part, &mounts, &poses, 1.0, &gate).unwrap();
+            }
+            prop_assert_eq!(gathering.tiles(), whole.tiles.len());
+            prop_assert_eq!(gathering.finish(rows.len() as u64), whole);
+        }
+    }
+
+    #[test]
+    fn scans_become_cells_with_the_grids_scale_applied() {
+        let scan = Scan {
+            time_us: 100_000,
+            range_m: vec![40.0, 40.0, 80.0],
+            azimuth_rad: vec![0.0; 3],
+            ..Scan::default()
+        };
+        let (contribution, dropped) =
+            contribute(zone(), &[scan], &[Mount::IDENTITY], &eastward(), 0.9996, &Gate::default()).unwrap();
+        assert_eq!((contribution.detections, dropped.too_far), (2, 1));
+        let (id, share) = contribution.tiles.first_key_value().unwrap();
+        assert_eq!((share.cells.len(), share.cells[0].hits, share.detections()), (1, 2, 2));
+        // 600001 + 40 * 0.9996 = 600040.984
+        let x = id.origin()[0] + f64::from(share.cells[0].index % 512) * CELL_M;
+        assert!((x - 600_040.9).abs() < 1e-6, "{x}");
+    }
+
+    /// Along a wall 20 m to the north. Fails when a ray goes on behind its return, or is not followed.
+    #[test]
+    fn what_lies_before_the_returns_was_in_view_and_what_lies_behind_was_not() {
+        let scan = |i: i64| {
+            let azimuth_rad: Vec<f32> = (30..150).map(|degree| (degree as f32).to_radians()).collect();
+            let range_m = azimuth_rad.iter().map(|a| 20.0 / a.sin()).collect();
+            Scan { time_us: i * 100_000, range_m, azimuth_rad, ..Scan::default() }
+        };
+        let scans: Vec<Scan> = (0..100).map(scan).collect();
+        let (contribution, _) =
+            contribute(zone(), &scans, &[Mount::IDENTITY], &eastward(), 1.0, &Gate::default()).unwrap();
+        let in_view = |point: [f64; 2]| {
+            let (id, cell) = (TileId::of(zone(), point), CellIndex::of(point));
+            let (x, y) = (cell.x - id.first_cell().x, cell.y - id.first_cell().y);
+            contribution.tiles.get(&id).is_some_and(|s| s.observed.contains(view_block((y * 512 + x) as u32)))
+        };
+        let block_m = VIEW_BLOCK_CELLS as f64 * CELL_M;
+        for x in (20..80).map(|x| 600_000.0 + f64::from(x)) {
+            assert!(in_view([x, 3_300_012.0]), "{x}");
+            assert!(in_view([x, 3_300_020.0]), "{x}");
+            assert!(!in_view([x, 3_300_020.0 + 2.0 * block_m]), "{x}");
+            assert!(!in_view([x, 3_300_000.0 - 2.0 * block_m]), "{x}");
+        }
+    }
+}

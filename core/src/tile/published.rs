@@ -1,0 +1,117 @@
+//! What is served of a tile.
+
+use super::Tile;
+use crate::evidence::{Cell, SUPPORT_BLOCKS, VIEW_BLOCKS, support_block, view_block};
+
+/// How evidence that nobody confirms loses its worth. Passes that look and do not find it make it fade
+/// much sooner; this is for places where nobody goes any more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Decay {
+    /// Days after which an unconfirmed cell's presence is half as high. After as many more, a
+    /// quarter: roadworks last months, facades years.
+    pub half_life_days: f64,
+    /// Cells that were last hit longer ago are not served at all, days.
+    pub expire_days: u16,
+}
+
+impl Default for Decay {
+    fn default() -> Self {
+        Self { half_life_days: 180.0, expire_days: 365 }
+    }
+}
+
+impl Decay {
+    /// The cell as it is worth on a day; `None` once it has expired.
+    fn applied(&self, cell: Cell, today: u16) -> Option<Cell> {
+        let age_days = today.saturating_sub(cell.last_day);
+        let left = (-f64::from(age_days) / self.half_life_days).exp2();
+        let presence = (f64::from(cell.presence) * left).round() as u16;
+        (age_days <= self.expire_days && presence > 0).then_some(Cell { presence, ..cell })
+    }
+}
+
+impl Tile {
+    /// The tile that is served: cells in support blocks that at least `min_contributors` distinct
+    /// contributors have hit, decayed to `today` (a UTC day counted from the Unix epoch; nothing decays
+    /// without it). What is known of blocks is kept only where there are such cells, so that nothing
+    /// tells where fewer contributors went.
+    #[must_use]
+    pub fn published(&self, min_contributors: u8, today: Option<u16>, decay: &Decay) -> Self {
+        let supported = |index: u32| self.support[support_block(index)] >= min_contributors;
+        let worth = |cell: Cell| today.map_or(Some(cell), |today| decay.applied(cell, today));
+        let cells = self.cells.iter().filter(|(index, _)| supported(*index));
+        let cells: Vec<_> = cells.filter_map(|(index, cell)| Some((*index, worth(*cell)?))).collect();
+        let mut observed = Box::new([0; VIEW_BLOCKS]);
+        let mut support = Box::new([0; SUPPORT_BLOCKS]);
+        for (index, _) in &cells {
+            let (view, support_at) = (view_block(*index), support_block(*index));
+            observed[view] = self.observed[view];
+            support[support_at] = self.support[support_at];
+        }
+        Self { cells, observed, support }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{folded, hits, uploads};
+    use super::*;
+    use crate::evidence::{Pass, Share, presence};
+    use proptest::prelude::*;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    fn cell(last_day: u16) -> Cell {
+        Cell {
+            hits: 2,
+            passes: 1,
+            contributors: 1,
+            presence: presence::ALWAYS,
+            first_day: 20_000,
+            last_day,
+            ..Cell::default()
+        }
+    }
+
+    proptest! {
+        /// Fails when contributors are counted by cell, by pass or by upload.
+        #[test]
+        fn cells_are_served_where_enough_contributors_were(uploads in uploads(), least in 1..5_u8) {
+            let (tile, _) = folded(&uploads);
+            let mut contributors: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
+            for (pass, share) in &uploads {
+                for hit in &share.cells {
+                    contributors.entry(support_block(hit.index)).or_default().insert(pass.contributor);
+                }
+            }
+            let served = tile.published(least, None, &Decay::default());
+            let expected = tile.cells().iter().filter(|(i, _)| contributors[&support_block(*i)].len() >= usize::from(least));
+            prop_assert!(served.cells().iter().eq(expected));
+            let told = |block: usize| served.cells().iter().any(|(index, _)| support_block(*index) == block);
+            prop_assert!((0..SUPPORT_BLOCKS).all(|block| told(block) || served.support()[block] == 0));
+            prop_assert_eq!(served.published(least, None, &Decay::default()), served);
+        }
+    }
+
+    #[test]
+    fn all_is_served_when_one_contributor_is_enough() {
+        let share = Share::of_hits(hits(&[(3, 1), (90, 2)].into()));
+        let (tile, _) = folded(&[(Pass { day: 20_000, contributor: 1 }, share)]);
+        assert_eq!(tile.published(1, None, &Decay::default()), tile);
+    }
+
+    #[test]
+    fn presence_is_halved_each_half_life_until_the_cell_expires() {
+        let tile = Tile::from_cells(vec![(3, cell(20_000)), (4, cell(20_200))]).unwrap();
+        let served = |today| {
+            let served = tile.published(1, Some(today), &Decay::default());
+            let share =
+                |(index, cell): &(u32, Cell)| (*index, (presence::share(cell.presence) * 1e4).round() / 1e4);
+            served.cells().iter().map(share).collect::<Vec<_>>()
+        };
+        assert_eq!(served(19_000), [(3, 1.0), (4, 1.0)], "a clock that is wrong does no harm");
+        assert_eq!(served(20_180), [(3, 0.5), (4, 1.0)]);
+        assert_eq!(served(20_360), [(3, 0.25), (4, 0.5400)]);
+        assert_eq!(served(20_366), [(4, 0.5277)]);
+        assert_eq!(served(u16::MAX), []);
+    }
+}

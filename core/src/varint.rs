@@ -1,0 +1,166 @@
+//! LEB128 variable-length integers, the alphabet of tiles, contributions and journal records.
+
+/// Appends values to bytes.
+#[derive(Debug, Default)]
+pub struct Writer {
+    /// What was written so far.
+    pub bytes: Vec<u8>,
+}
+
+impl Writer {
+    /// A value: seven bits a byte, the lowest first.
+    pub fn put(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.bytes.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.bytes.push(value as u8);
+    }
+
+    /// One value after the other.
+    pub fn put_all(&mut self, values: impl Iterator<Item = u64>) {
+        values.for_each(|value| self.put(value));
+    }
+
+    /// A signed value: small ones of either sign stay short.
+    pub fn put_signed(&mut self, value: i64) {
+        self.put(((value << 1) ^ (value >> 63)) as u64);
+    }
+
+    /// Strictly increasing values, as the distance from the one before (the first from -1), less 1.
+    pub fn put_ascending(&mut self, values: impl Iterator<Item = u32>) {
+        let mut next = 0;
+        for value in values {
+            self.put(u64::from(value - next));
+            next = value + 1;
+        }
+    }
+
+    /// The length, then the bytes.
+    pub fn put_bytes(&mut self, bytes: &[u8]) {
+        self.put(bytes.len() as u64);
+        self.bytes.extend_from_slice(bytes);
+    }
+}
+
+/// Takes values off bytes; `None` where they end too early or a value does not fit.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    /// What is left.
+    pub rest: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    /// The next value.
+    pub fn get<T: TryFrom<u64>>(&mut self) -> Option<T> {
+        let mut value = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let (&byte, rest) = self.rest.split_first()?;
+            self.rest = rest;
+            let bits = u64::from(byte & 0x7f);
+            if shift == 63 && bits > 1 {
+                return None;
+            }
+            value |= bits << shift;
+            if byte & 0x80 == 0 {
+                return T::try_from(value).ok();
+            }
+        }
+        None
+    }
+
+    /// What [`Writer::put_signed`] wrote.
+    pub fn get_signed<T: TryFrom<i64>>(&mut self) -> Option<T> {
+        let folded: u64 = self.get()?;
+        T::try_from((folded >> 1) as i64 ^ -((folded & 1) as i64)).ok()
+    }
+
+    /// A count of things that take at least one byte each: never more than there are bytes left.
+    pub fn count(&mut self) -> Option<usize> {
+        self.get().filter(|count| *count <= self.rest.len())
+    }
+
+    /// So many values below `limit`, as [`Writer::put_ascending`] wrote them.
+    pub fn ascending(&mut self, count: usize, limit: u32) -> Option<Vec<u32>> {
+        if count > self.rest.len() {
+            return None;
+        }
+        let mut next = 0_u32;
+        let mut value = || {
+            let value = next.checked_add(self.get()?).filter(|value| *value < limit)?;
+            next = value + 1;
+            Some(value)
+        };
+        (0..count).map(|_| value()).collect()
+    }
+
+    /// So many bytes as they are.
+    pub fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.rest.split_at_checked(count)?;
+        self.rest = rest;
+        Some(taken)
+    }
+
+    /// What [`Writer::put_bytes`] wrote.
+    pub fn bytes(&mut self) -> Option<&'a [u8]> {
+        let count = self.get()?;
+        self.take(count)
+    }
+
+    /// `Some` when nothing is left.
+    #[must_use]
+    pub fn finish(&self) -> Option<()> {
+        self.rest.is_empty().then_some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_was_put_is_got(
+            values: Vec<u64>, signed: Vec<i64>, bytes: Vec<u8>,
+            rising in prop::collection::btree_set(0..10_000_u32, 0..20),
+        ) {
+            let mut out = Writer::default();
+            out.put_all(values.iter().copied());
+            for value in &signed {
+                out.put_signed(*value);
+            }
+            out.put_bytes(&bytes);
+            out.put_ascending(rising.iter().copied());
+            let mut input = Reader { rest: &out.bytes };
+            for value in values {
+                prop_assert_eq!(input.get::<u64>(), Some(value));
+            }
+            for value in signed {
+                prop_assert_eq!(input.get_signed::<i64>(), Some(value));
+            }
+            prop_assert_eq!(input.bytes(), Some(&bytes[..]));
+            let rising: Vec<u32> = rising.into_iter().collect();
+            prop_assert_eq!(input.ascending(rising.len(), 10_000), Some(rising));
+            prop_assert_eq!(input.finish(), Some(()));
+        }
+
+        #[test]
+        fn any_bytes_are_read_without_harm(bytes: Vec<u8>, count: u32) {
+            let mut input = Reader { rest: &bytes };
+            while input.get::<u32>().is_some() {}
+            let _ = Reader { rest: &bytes }.ascending(count as usize, 1 << 18);
+        }
+    }
+
+    #[test]
+    fn values_beyond_the_limit_or_the_type_are_refused() {
+        let mut out = Writer::default();
+        out.put_ascending([3, 9].into_iter());
+        assert_eq!(Reader { rest: &out.bytes }.ascending(2, 10), Some(vec![3, 9]));
+        assert_eq!(Reader { rest: &out.bytes }.ascending(2, 9), None);
+        let mut out = Writer::default();
+        out.put(300);
+        assert_eq!(Reader { rest: &out.bytes }.get::<u8>(), None);
+    }
+}
