@@ -27,6 +27,14 @@ impl Dropped {
     pub fn total(&self) -> u64 {
         self.too_slow + self.too_far + self.moving + self.without_pose
     }
+
+    /// Counts others' in.
+    pub fn add(&mut self, other: &Self) {
+        self.too_slow += other.too_slow;
+        self.too_far += other.too_far;
+        self.moving += other.moving;
+        self.without_pose += other.without_pose;
+    }
 }
 
 /// Why scans do not form a batch.

@@ -12,6 +12,7 @@
 //! - [`doppler`]: movers, the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
 //! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
+//! - [`contribution`]: from scans and poses to what an upload contributes, zone by zone.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
@@ -24,6 +25,7 @@
 pub mod agreement;
 pub mod align;
 pub mod batch;
+pub mod contribution;
 pub mod doppler;
 pub mod drive;
 pub mod evidence;

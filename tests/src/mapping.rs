@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use echofix_client::drivelog::{Event, replay};
-use echofix_client::upload::{Config, Recorder, Upload};
+use echofix_client::upload::{Config, Form, Recorder, Upload};
 use echofix_core::drive::Drive;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
@@ -15,8 +15,18 @@ use crate::{grpc, http, until};
 
 /// A drive as the uploads the vehicle's recorder makes of it.
 pub fn uploads(drive: &Drive) -> Vec<Upload> {
-    let mut recorder = Recorder::new(Config::default(), &drive.vehicle, drive.mounts.clone())
-        .expect("the vehicle has a name");
+    uploads_as(drive, Config::default())
+}
+
+/// The same as scans.
+pub fn scan_uploads(drive: &Drive) -> Vec<Upload> {
+    uploads_as(drive, Config { form: Form::Scans, ..Config::default() })
+}
+
+/// The same, recorded in some other way.
+pub fn uploads_as(drive: &Drive, config: Config) -> Vec<Upload> {
+    let mut recorder =
+        Recorder::new(config, &drive.vehicle, drive.mounts.clone()).expect("the vehicle has a name");
     let mut uploads = Vec::new();
     for event in replay(drive) {
         match event {

@@ -157,7 +157,7 @@ async fn a_deadline_that_cannot_be_kept_is_an_error_not_a_late_answer() {
 async fn uploads_that_cannot_be_used_are_refused_and_change_nothing() {
     let world = world().await;
     let service = Service::start();
-    let upload = mapping::uploads(&world.visit(150.0)).remove(0);
+    let upload = mapping::scan_uploads(&world.visit(150.0)).remove(0);
     let mut client = grpc::mapping(&service).await;
     let fields: [(&str, SpoilUpload); 8] = [
         ("header", |parts| drop(parts.remove(0))),

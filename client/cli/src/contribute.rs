@@ -58,6 +58,8 @@ pub struct Contributed {
     pub refused: u64,
     /// Detections recorded.
     pub detections: u64,
+    /// Bytes of the uploads on the wire.
+    pub bytes: u64,
     /// Detections left out.
     pub left_out: LeftOut,
 }
@@ -104,6 +106,7 @@ pub async fn upload(
     bar.inc_length(submitted.len() as u64);
     for upload in submitted {
         done.detections += upload.detections() as u64;
+        done.bytes += upload.bytes() as u64;
         uploader.submit(upload).await?;
         bar.inc(1);
     }

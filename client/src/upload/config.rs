@@ -1,15 +1,29 @@
 //! What is recorded and how it is cut.
 
+use echofix_core::contribution::Limits;
 use echofix_core::scan::Gate;
 
 use crate::wire::Columns;
+
+/// What of a drive is sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Form {
+    /// Cells that were hit, and what was in view: small, and it tells neither when nor along which way the
+    /// vehicle went.
+    #[default]
+    Evidence,
+    /// The scans, and the poses they were taken from.
+    Scans,
+}
 
 /// What is recorded and how it is cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Config {
     /// Which detections are kept.
     pub gate: Gate,
-    /// Which columns are sent. Movers are dropped here, so the geometry is enough.
+    /// What is sent.
+    pub form: Form,
+    /// Of scans, which columns are sent. Movers are dropped here, so the geometry is enough.
     pub columns: Columns,
     /// Poses less well known than this are not mapped from, metres (one sigma an axis).
     pub max_sigma_position_m: f64,
@@ -32,6 +46,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             gate: Gate::default(),
+            form: Form::Evidence,
             columns: Columns::Geometry,
             max_sigma_position_m: 0.3,
             max_sigma_yaw_rad: 0.5_f64.to_radians(),
@@ -40,6 +55,20 @@ impl Default for Config {
             cut_after_m: 100.0,
             lateness_s: 0.5,
             trim_ends_m: 0.0,
+        }
+    }
+}
+
+impl Config {
+    /// The same limits as the core knows them. Movers are gone already: odometry tells them better than the
+    /// differences of absolute poses do.
+    pub(super) fn limits(&self) -> Limits {
+        Limits {
+            gate: Gate { max_doppler_residual_mps: f64::INFINITY, ..self.gate },
+            max_sigma_position_m: self.max_sigma_position_m,
+            max_sigma_yaw_rad: self.max_sigma_yaw_rad,
+            max_pose_gap_s: self.max_pose_gap_s,
+            ..Limits::default()
         }
     }
 }

@@ -1,7 +1,9 @@
 //! One upload: a stretch of a drive under one id.
 
 use echofix_core::drive::GeoPose;
+use echofix_core::evidence::{Contribution, codec};
 use echofix_core::scan::{Mount, Scan};
+use echofix_core::tile::DecodeError;
 use echofix_proto::v1;
 use echofix_proto::v1::upload_request::Part;
 use prost::Message;
@@ -12,6 +14,8 @@ use crate::wire::{self, Columns};
 /// Detections in a chunk, at most: some 20 kB. A chunk must cross within the time the service waits for
 /// a silent caller, on slow networks, too.
 const CHUNK_DETECTIONS: usize = 2048;
+/// Bytes of evidence in a chunk, at most.
+const CHUNK_BYTES: usize = 16 << 10;
 
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -63,6 +67,17 @@ impl Upload {
         }
     }
 
+    /// Adds what the vehicle gathered itself; `sigmas` are the largest of the poses it was mapped from (metres,
+    /// radians).
+    pub(crate) fn add_evidence(&mut self, contribution: &Contribution, sigmas: [f64; 2]) {
+        let bytes = codec::encode(contribution);
+        let [sigma_position_m, sigma_yaw_rad] = sigmas.map(|sigma| sigma as f32);
+        for piece in bytes.chunks(CHUNK_BYTES) {
+            let chunk = v1::EvidenceChunk { contribution: piece.to_vec(), sigma_position_m, sigma_yaw_rad };
+            self.parts.push(v1::UploadRequest { part: Some(Part::Evidence(chunk)) });
+        }
+    }
+
     /// The id.
     #[must_use]
     pub fn id(&self) -> Uuid {
@@ -86,7 +101,7 @@ impl Upload {
     pub fn header(&self) -> Option<&v1::UploadHeader> {
         match self.parts.first()?.part.as_ref()? {
             Part::Header(header) => Some(header),
-            Part::Chunk(_) => None,
+            Part::Chunk(_) | Part::Evidence(_) => None,
         }
     }
 
@@ -94,14 +109,39 @@ impl Upload {
     pub fn chunks(&self) -> impl Iterator<Item = &v1::UploadChunk> {
         self.parts.iter().filter_map(|request| match request.part.as_ref()? {
             Part::Chunk(chunk) => Some(chunk),
-            Part::Header(_) => None,
+            Part::Header(_) | Part::Evidence(_) => None,
         })
     }
 
-    /// Detections in all chunks.
+    /// The evidence, of one that has any.
+    ///
+    /// # Errors
+    /// When its bytes are not a contribution.
+    pub fn evidence(&self) -> Result<Contribution, DecodeError> {
+        codec::decode(&self.evidence_bytes(), usize::MAX)
+    }
+
+    fn evidence_bytes(&self) -> Vec<u8> {
+        let piece = |request: &v1::UploadRequest| match request.part.as_ref()? {
+            Part::Evidence(chunk) => Some(chunk.contribution.clone()),
+            Part::Header(_) | Part::Chunk(_) => None,
+        };
+        self.parts.iter().filter_map(piece).flatten().collect()
+    }
+
+    /// Detections in all of it.
     #[must_use]
     pub fn detections(&self) -> usize {
-        self.chunks().filter_map(|chunk| chunk.scans.as_ref()).map(|scans| scans.range_m.len()).sum()
+        let scans: usize =
+            self.chunks().filter_map(|chunk| chunk.scans.as_ref()).map(|scans| scans.range_m.len()).sum();
+        let evidence = codec::decode_head(&self.evidence_bytes()).map_or(0, |head| head.detections);
+        scans + evidence as usize
+    }
+
+    /// Bytes on the wire, without gRPC's own framing.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.parts.iter().map(Message::encoded_len).sum()
     }
 
     /// The messages, each preceded by its length.

@@ -1,14 +1,16 @@
 //! Cuts a drive into uploads.
 
 use echofix_core::batch::Dropped;
+use echofix_core::contribution::{Chunk, Contributed, Submission, contribute};
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Zone};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 
-use super::{Config, Upload, stretch};
+use super::{Config, Form, Upload, stretch};
 
+const DAY_US: i64 = 86_400_000_000;
 /// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 
@@ -189,16 +191,47 @@ impl Recorder {
     fn cut_at(&mut self, cut: usize) -> Option<Upload> {
         let poses: Vec<GeoPose> = self.poses[..=cut].iter().map(|(pose, _)| *pose).collect();
         let (first_us, last_us) = (poses.first()?.time_us, poses.last()?.time_us);
-        let mut upload = Upload::start(&self.contributor, &self.mounts, first_us);
+        let mut submission = Submission { mounts: self.mounts.clone(), chunks: Vec::new() };
         for stretch in stretch::good(&poses, &self.config) {
             let scans = take_within(&mut self.scans, stretch);
             let (mounts, config) = (&self.mounts, &self.config);
             let scans = stretch::gated(stretch, &scans, mounts, &self.odometry, config, &mut self.dropped);
-            upload.add(stretch, &scans, self.config.columns);
+            submission.chunks.push(Chunk { poses: stretch.to_vec(), scans });
         }
+        let upload = self.upload_of(submission, first_us);
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
-        (upload.detections() > 0).then_some(upload)
+        upload
+    }
+
+    /// The upload in the form that is sent; `None` when nothing is left to map.
+    fn upload_of(&mut self, submission: Submission, first_us: i64) -> Option<Upload> {
+        let mut upload = match self.config.form {
+            Form::Scans => Upload::start(&self.contributor, &self.mounts, first_us),
+            // Evidence tells the day only.
+            Form::Evidence => Upload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US)),
+        };
+        if self.config.form == Form::Scans {
+            for Chunk { poses, scans } in &submission.chunks {
+                upload.add(poses, scans, self.config.columns);
+            }
+            return (upload.detections() > 0).then_some(upload);
+        }
+        let poses = submission.chunks.iter().flat_map(|chunk| &chunk.poses);
+        let sigmas = poses
+            .fold([0.0_f64; 2], |[p, y], pose| [p.max(pose.sigma_position_m), y.max(pose.sigma_yaw_rad)]);
+        match contribute(submission, &self.config.limits()) {
+            Ok(Contributed { contribution, dropped }) => {
+                self.dropped.add(&dropped);
+                upload.add_evidence(&contribution, sigmas);
+                Some(upload)
+            }
+            // Poses were checked as they came: what is refused here has nothing to map.
+            Err(refusal) => {
+                tracing::debug!(%refusal, "a stretch of the drive maps nothing");
+                None
+            }
+        }
     }
 
     /// Forgets poses before one, and what came before it.

@@ -75,6 +75,14 @@ impl TileId {
         CellIndex { x: i64::from(self.x) * side, y: i64::from(self.y) * side }
     }
 
+    /// True when places of the tile can lie in its zone or near its border: UTM's eastings stay within 400 km of
+    /// the central meridian's 500 km, its northings below 10 000 km.
+    #[must_use]
+    pub fn lies_on_grid(self) -> bool {
+        let [x_m, y_m] = self.origin();
+        (100_000.0..900_000.0).contains(&x_m) && (-TILE_M..10_000_000.0).contains(&y_m)
+    }
+
     /// Tiles of a zone that touch the square of half width `half_m` around map metres.
     pub fn covering(zone: Zone, [x_m, y_m]: [f64; 2], half_m: f64) -> impl Iterator<Item = Self> {
         let low = Self::of(zone, [x_m - half_m, y_m - half_m]);

@@ -1,10 +1,10 @@
 //! How well does a contribution agree with the map that exists?
 
 use echofix_core::agreement::PointIndex;
+use echofix_core::evidence::Contribution;
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
 use echofix_core::tile::Tile;
 
-use super::Contributed;
 use crate::store::{Error, MapStore};
 
 /// A detection agrees with the map when it has a mapped point within this distance, metres.
@@ -19,11 +19,10 @@ const MAX_TILES: usize = 64;
 ///
 /// # Errors
 /// When a tile cannot be read.
-pub fn agreement(store: &dyn MapStore, contributed: &Contributed) -> Result<Option<f64>, Error> {
+pub fn agreement(store: &dyn MapStore, contribution: &Contribution) -> Result<Option<f64>, Error> {
     let (mut map, mut asked) = (Vec::new(), Vec::new());
-    let own = |id: &TileId| contributed.own_zones.contains(&id.zone);
-    let own_tiles: Vec<_> = contributed.contribution.tiles.iter().filter(|(id, _)| own(id)).collect();
-    for &(id, share) in spread(&own_tiles, MAX_TILES) {
+    let tiles: Vec<_> = contribution.tiles.iter().collect();
+    for &(id, share) in spread(&tiles, MAX_TILES) {
         if let Some(stored) = store.tile(*id)? {
             map.extend(mapped(*id, &stored.tile));
             asked.extend(share.cells.iter().map(|cell| place(*id, cell.index, cell.centroid())));
@@ -66,5 +65,34 @@ mod tests {
             assert!(sample.len() <= MAX_TILES && sample.is_empty() == items.is_empty(), "{count}");
             assert!(sample.last().is_none_or(|last| **last >= count / 2), "{count}");
         }
+    }
+
+    #[test]
+    fn agreement_tells_a_good_upload_from_a_shifted_one() {
+        use crate::store::{EmbeddedStore, Options, State, Upload};
+        use echofix_core::evidence::{CellHits, Pass, Share};
+        use echofix_core::geo::Zone;
+        let dir = tempfile::tempdir().unwrap();
+        let options =
+            Options { data_dir: dir.path().to_owned(), cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
+        let store = EmbeddedStore::open(&options).unwrap();
+        let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 65_000, x: 12_000 };
+        // A wall along a row of cells.
+        let wall = |row: u32| {
+            let hit = |x| CellHits { index: 512 * row + x, hits: 1, offset_sum: [128, 128] };
+            let share = Share::of_hits((100..300).map(hit).collect());
+            Contribution { tiles: [(id, share)].into(), detections: 200 }
+        };
+        assert_eq!(agreement(&store, &wall(50)).unwrap(), None, "there is no map yet");
+        let pass = Pass { day: 1, contributor: 1 };
+        let (id, contribution) = (uuid::Uuid::nil(), wall(50));
+        store.commit(Upload { id, pass, forget_before: 0, contribution, answer: vec![] }).unwrap();
+        let mut progress = store.progress();
+        let folded = |p: &crate::store::Progress| p.state == State::Serving && p.epoch == 1;
+        while !folded(&progress.borrow_and_update()) {
+            std::thread::yield_now();
+        }
+        assert_eq!(agreement(&store, &wall(50)).unwrap(), Some(1.0));
+        assert_eq!(agreement(&store, &wall(80)).unwrap(), Some(0.0), "it lies 3 m beside");
     }
 }

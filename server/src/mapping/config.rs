@@ -1,5 +1,6 @@
 //! What an upload must fulfil.
 
+use echofix_core::contribution::Limits;
 use echofix_core::scan::Gate;
 use serde::{Deserialize, Serialize};
 
@@ -57,13 +58,21 @@ impl Default for MappingConfig {
 }
 
 impl MappingConfig {
-    /// The gate for single detections.
+    /// What poses and detections must fulfil.
     #[must_use]
-    pub fn gate(&self) -> Gate {
-        Gate {
+    pub fn limits(&self) -> Limits {
+        let gate = Gate {
             min_speed_mps: self.min_speed_mps,
             max_range_m: self.max_range_m,
             max_doppler_residual_mps: self.max_doppler_residual_mps,
+        };
+        Limits {
+            gate,
+            max_sigma_position_m: self.max_sigma_position_m,
+            max_sigma_yaw_rad: self.max_sigma_yaw_deg.to_radians(),
+            max_pose_gap_s: self.max_pose_gap_s,
+            max_speed_mps: self.max_speed_mps,
+            max_tiles: self.max_upload_tiles,
         }
     }
 }

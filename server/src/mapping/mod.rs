@@ -1,14 +1,10 @@
-//! From an upload to a contribution: which of its detections count, and where they fall.
+//! What the service asks of an upload, and how well one agrees with the map.
 //!
-//! - [`contribute`](mod@contribute): pure: scans and poses become hits by tile and cell, near a zone border in
-//!   every zone whose map holds the place.
+//! - [`config`](MappingConfig): the limits.
 //! - [`agreement`](mod@agreement): how well a contribution agrees with the map that exists.
 
 mod agreement;
 mod config;
-mod contribute;
-mod stretch;
 
 pub use agreement::agreement;
 pub use config::MappingConfig;
-pub use contribute::{Chunk, Contributed, Refusal, Submission, contribute};

@@ -81,6 +81,7 @@ fn say(json: bool, text: &str) {
 struct Mapped {
     kilometres: f64,
     detections: u64,
+    bytes: u64,
     uploads: u64,
 }
 
@@ -93,7 +94,7 @@ async fn map(
     json: bool,
 ) -> anyhow::Result<Mapped> {
     let bar = progress::bar("the fleet drives and uploads", 0, json);
-    let mut mapped = Mapped { kilometres: 0.0, detections: 0, uploads: 0 };
+    let mut mapped = Mapped { kilometres: 0.0, detections: 0, bytes: 0, uploads: 0 };
     let mut vehicles = 0..args.contributors;
     let drive = |vehicle| simulated(city, 0, format!("mapper-{vehicle}"), args.seed * 1000 + vehicle);
     // One vehicle drives while the one before it uploads.
@@ -106,6 +107,7 @@ async fn map(
             contribute::upload(&drive_of_one, &service.grpc, &spool, RecorderConfig::default(), &bar).await?;
         mapped.kilometres += drive_of_one.odometry.travelled_m() / 1e3;
         mapped.detections += done.detections;
+        mapped.bytes += done.bytes;
         mapped.uploads += done.uploads;
     }
     bar.finish_and_clear();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use echofix_client::drivelog;
-use echofix_client::upload::Config as RecorderConfig;
+use echofix_client::upload::{Config as RecorderConfig, Form};
 use echofix_core::scan::Gate;
 
 use super::ScanRange;
@@ -23,6 +23,9 @@ pub struct Args {
     /// Where uploads wait until they are acknowledged; what is there from an earlier run is sent, too.
     #[arg(long, default_value = "echofix-spool")]
     spool: PathBuf,
+    /// Upload the scans themselves instead of the evidence gathered from them.
+    #[arg(long)]
+    raw: bool,
     /// Only these scans of each log, counted from 1, like 1-9.
     #[arg(long)]
     scans: Option<ScanRange>,
@@ -47,6 +50,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
     let config = RecorderConfig {
         gate,
+        form: if args.raw { Form::Scans } else { Form::Evidence },
         max_sigma_position_m: args.max_sigma_m,
         max_sigma_yaw_rad: args.max_sigma_yaw_deg.to_radians(),
         ..RecorderConfig::default()
@@ -69,7 +73,12 @@ fn report(path: &str, done: &Contributed, json: bool) -> anyhow::Result<()> {
         println!("{}", serde_json::json!({ "drive": path, "result": serde_json::to_value(done)? }));
         return Ok(());
     }
-    println!("{path}: {} uploads acknowledged with {} detections", done.uploads, done.detections);
+    println!(
+        "{path}: {} uploads acknowledged with {} detections in {} kB",
+        done.uploads,
+        done.detections,
+        done.bytes / 1000
+    );
     println!("  left out: {}", done.left_out);
     if done.duplicates + done.refused > 0 {
         println!(

@@ -23,7 +23,7 @@ fn scan(ms: i64) -> Scan {
 }
 
 fn recorder(config: Config) -> Recorder {
-    Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap()
+    Recorder::new(Config { form: Form::Scans, ..config }, "car-1", vec![Mount::IDENTITY]).unwrap()
 }
 
 /// Poses every 0.1 s at 10 m/s, changed by `edit`, and a scan 50 ms after each.
@@ -180,4 +180,32 @@ fn what_cannot_be_recorded_is_refused() {
     let lost = GeoPose { at: LatLon { lat_deg: f64::NAN, lon_deg: 0.0 }, ..pose(1, 0.0) };
     assert!(matches!(r.push_pose(lost), Err(Error::OffTheMap(_))));
     assert!(matches!(r.push_scan(Scan { sensor: 1, ..scan(10) }), Err(Error::UnknownSensor { .. })));
+}
+
+/// Fails when evidence is gathered from other detections than the scans that would be sent, or tells more of the
+/// trip than the day.
+#[test]
+fn evidence_is_what_the_scans_would_have_come_to() {
+    let config = Config { trim_ends_m: 20.0, ..Config::default() };
+    let mut scans = recorder(config);
+    let mut evidence = Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap();
+    let (mut sent, mut gathered) =
+        (record(&mut scans, 300, |_, _| ()), record(&mut evidence, 300, |_, _| ()));
+    sent.extend(scans.finish());
+    gathered.extend(evidence.finish());
+    assert_eq!(sent.len(), gathered.len());
+    for (sent, gathered) in sent.iter().zip(&gathered) {
+        let header = sent.header().unwrap();
+        let chunk = |chunk: &echofix_proto::v1::UploadChunk| Chunk {
+            poses: wire::poses_from(chunk.poses.as_ref().unwrap(), header.reference_time_us).unwrap(),
+            scans: wire::scans_from(chunk.scans.as_ref().unwrap(), header.reference_time_us).unwrap(),
+        };
+        let submission =
+            Submission { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
+        let expected = contribute(submission, &config.limits()).unwrap().contribution;
+        assert_eq!(gathered.evidence().unwrap(), expected);
+        assert_eq!(gathered.detections(), sent.detections());
+        let header = gathered.header().unwrap();
+        assert!(header.mounts.is_empty() && header.reference_time_us % DAY_US == 0);
+    }
 }

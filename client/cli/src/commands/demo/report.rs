@@ -25,16 +25,17 @@ impl Report<'_> {
         if json {
             let report = serde_json::json!({
                 "seed": self.args.seed, "contributors": self.args.contributors, "street_km": street_km,
-                "driven_km": self.mapped.kilometres, "detections": self.mapped.detections,
+                "driven_km": self.mapped.kilometres, "detections": self.mapped.detections, "upload_bytes": self.mapped.bytes,
                 "uploads": self.mapped.uploads, "map": self.map, "map_kb_per_km": map_kb_per_km,
                 "localizing": self.summary, "seconds": self.seconds, "console": service.http,
             });
             println!("{report}");
             return;
         }
-        let Mapped { kilometres, detections, uploads } = &self.mapped;
+        let Mapped { kilometres, detections, bytes, uploads } = &self.mapped;
+        let kb_per_km = *bytes as f64 / 1000.0 / kilometres.max(f64::MIN_POSITIVE);
         println!(
-            "\n{} vehicles drove {kilometres:.1} km and sent {detections} detections in {uploads} uploads.",
+            "\n{} vehicles drove {kilometres:.1} km and sent evidence of {detections} detections in {uploads} uploads, {kb_per_km:.0} kB a km.",
             self.args.contributors
         );
         println!(

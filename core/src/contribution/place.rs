@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use echofix_core::batch::{self, Dropped};
-use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{Contribution, Gathering};
-use echofix_core::geo::{self, Grid, Zone};
-use echofix_core::odometry::{self, Trajectory};
-use echofix_core::scan::{Mount, Scan};
+use crate::batch::{self, Dropped};
+use crate::drive::GeoPose;
+use crate::evidence::{Contribution, Gathering};
+use crate::geo::{self, Grid, Zone};
+use crate::odometry::{self, Trajectory};
+use crate::scan::{Mount, Scan};
 
-use super::MappingConfig;
+use super::Limits;
 use super::stretch::{Stretch, cut};
 
 /// A stretch of a drive as it was uploaded, its columns sound.
@@ -38,8 +38,6 @@ pub struct Contributed {
     pub contribution: Contribution,
     /// Detections left out.
     pub dropped: Dropped,
-    /// The zones the poses belong to; neighbours hold the same detections again.
-    pub own_zones: Vec<Zone>,
 }
 
 /// Why an upload cannot be used.
@@ -76,14 +74,6 @@ pub enum Refusal {
         /// Tiles of one upload, at most.
         most: usize,
     },
-    /// The upload is older than is taken.
-    #[error("the upload is {age_days} days old; at most {most_days} days are taken")]
-    TooOld {
-        /// Its age.
-        age_days: u16,
-        /// The limit.
-        most_days: u16,
-    },
     /// A scan names an unknown sensor.
     #[error(transparent)]
     Scans(#[from] batch::Error),
@@ -96,8 +86,8 @@ pub enum Refusal {
 ///
 /// # Errors
 /// When nothing of it counts, or it lies where there is no map.
-pub fn contribute(mut submission: Submission, config: &MappingConfig) -> Result<Contributed, Refusal> {
-    let mut placing = Placing::new(config);
+pub fn contribute(mut submission: Submission, limits: &Limits) -> Result<Contributed, Refusal> {
+    let mut placing = Placing::new(limits);
     for chunk in &mut submission.chunks {
         chunk.scans.sort_by_key(|scan| scan.time_us);
         placing.chunk(&submission.mounts, chunk)?;
@@ -107,32 +97,30 @@ pub fn contribute(mut submission: Submission, config: &MappingConfig) -> Result<
 }
 
 struct Placing<'a> {
-    config: &'a MappingConfig,
+    limits: &'a Limits,
     grids: HashMap<Zone, Grid>,
     gathering: Gathering,
     /// Detections that count.
     detections: u64,
     dropped: Dropped,
-    own_zones: Vec<Zone>,
     /// Poses that were not known well enough.
     uncertain: usize,
 }
 
 impl<'a> Placing<'a> {
-    fn new(config: &'a MappingConfig) -> Self {
+    fn new(limits: &'a Limits) -> Self {
         Self {
-            config,
+            limits,
             grids: HashMap::new(),
             gathering: Gathering::default(),
             detections: 0,
             dropped: Dropped::default(),
-            own_zones: Vec::new(),
             uncertain: 0,
         }
     }
 
     fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), Refusal> {
-        let cut = cut(&chunk.poses, self.config)?;
+        let cut = cut(&chunk.poses, self.limits)?;
         self.uncertain += cut.uncertain;
         let mut scans = &chunk.scans[..];
         for stretch in &cut.stretches {
@@ -159,16 +147,13 @@ impl<'a> Placing<'a> {
                 stretch.poses.iter().map(|p| Ok((p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad)?)));
             let poses = Trajectory::new(poses.collect::<Result<Vec<_>, geo::Error>>()?)?;
             let scale = grid.scale_factor(stretch.poses[stretch.poses.len() / 2].at)?;
-            let gate = self.config.gate();
-            let (placed, dropped) = self.gathering.add(*zone, scans, mounts, &poses, scale, &gate)?;
+            let gate = &self.limits.gate;
+            let (placed, dropped) = self.gathering.add(*zone, scans, mounts, &poses, scale, gate)?;
             if rank == 0 {
                 self.detections += placed;
-                self.drop(dropped);
-                if !self.own_zones.contains(zone) {
-                    self.own_zones.push(*zone);
-                }
+                self.dropped.add(&dropped);
             }
-            let (tiles, most) = (self.gathering.tiles(), self.config.max_upload_tiles);
+            let (tiles, most) = (self.gathering.tiles(), self.limits.max_tiles);
             if tiles > most {
                 return Err(Refusal::TooManyTiles { tiles, most });
             }
@@ -176,27 +161,19 @@ impl<'a> Placing<'a> {
         Ok(())
     }
 
-    fn drop(&mut self, dropped: Dropped) {
-        let all = &mut self.dropped;
-        all.too_slow += dropped.too_slow;
-        all.too_far += dropped.too_far;
-        all.moving += dropped.moving;
-        all.without_pose += dropped.without_pose;
-    }
-
     /// Something must count; if nothing does, the main reason is told.
     fn finish(self, sent: u64) -> Result<Contributed, Refusal> {
-        let Self { config, gathering, detections, dropped, own_zones, uncertain, .. } = self;
+        let Self { limits, gathering, detections, dropped, uncertain, .. } = self;
         if detections > 0 {
-            return Ok(Contributed { contribution: gathering.finish(detections), dropped, own_zones });
+            return Ok(Contributed { contribution: gathering.finish(detections), dropped });
         }
         let Dropped { too_slow, too_far, moving, without_pose } = dropped;
         let main = too_slow.max(too_far).max(moving).max(without_pose);
         Err(if main > 0 && main == without_pose && uncertain > 0 {
-            let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);
+            let (position_m, yaw_deg) = (limits.max_sigma_position_m, limits.max_sigma_yaw_rad.to_degrees());
             Refusal::PoseTooUncertain { position_m, yaw_deg }
         } else if main > 0 && main == too_slow {
-            Refusal::TooSlow { min_speed_mps: config.min_speed_mps }
+            Refusal::TooSlow { min_speed_mps: limits.gate.min_speed_mps }
         } else {
             Refusal::NoDetections { sent }
         })
@@ -208,5 +185,5 @@ fn detections(scans: &[Scan]) -> u64 {
 }
 
 #[cfg(test)]
-#[path = "contribute_tests.rs"]
+#[path = "tests.rs"]
 mod tests;

@@ -1,9 +1,9 @@
 //! The poses of an upload, cut into stretches that can be mapped from.
 
-use echofix_core::drive::GeoPose;
-use echofix_core::geo::{self, LatLon, Zone, zones_near};
+use crate::drive::GeoPose;
+use crate::geo::{self, LatLon, Zone, zones_near};
 
-use super::MappingConfig;
+use super::Limits;
 
 /// How far from a zone's border the map is kept in the neighbouring zone too, metres.
 const ZONE_MARGIN_M: f64 = 512.0;
@@ -29,7 +29,7 @@ pub(super) struct Cut {
 }
 
 /// Cuts poses, oldest first.
-pub(super) fn cut(poses: &[GeoPose], limits: &MappingConfig) -> Result<Cut, geo::Error> {
+pub(super) fn cut(poses: &[GeoPose], limits: &Limits) -> Result<Cut, geo::Error> {
     let mut cut = Cut::default();
     let mut open: Option<Stretch> = None;
     for pose in poses {
@@ -63,13 +63,12 @@ pub(super) fn cut(poses: &[GeoPose], limits: &MappingConfig) -> Result<Cut, geo:
     Ok(cut)
 }
 
-fn certain(pose: &GeoPose, limits: &MappingConfig) -> bool {
-    pose.sigma_position_m <= limits.max_sigma_position_m
-        && pose.sigma_yaw_rad <= limits.max_sigma_yaw_deg.to_radians()
+fn certain(pose: &GeoPose, limits: &Limits) -> bool {
+    pose.sigma_position_m <= limits.max_sigma_position_m && pose.sigma_yaw_rad <= limits.max_sigma_yaw_rad
 }
 
 /// Is the way to the next pose unknown, or one that no vehicle drives?
-fn torn(stretch: &Stretch, next: &GeoPose, limits: &MappingConfig) -> bool {
+fn torn(stretch: &Stretch, next: &GeoPose, limits: &Limits) -> bool {
     let Some(last) = stretch.poses.last() else { return true };
     let gap_s = (next.time_us - last.time_us) as f64 * 1e-6;
     gap_s > limits.max_pose_gap_s || ground_distance_m(last.at, next.at) > limits.max_speed_mps * gap_s
@@ -98,7 +97,7 @@ mod tests {
     }
 
     fn lengths(poses: &[GeoPose]) -> Vec<usize> {
-        let cut = cut(poses, &MappingConfig::default()).unwrap();
+        let cut = cut(poses, &Limits::default()).unwrap();
         cut.stretches.iter().map(|stretch| stretch.poses.len()).collect()
     }
 
@@ -122,7 +121,7 @@ mod tests {
     #[test]
     fn a_zone_border_and_a_long_way_cut_at_a_shared_pose() {
         let poses = way(4_500, 7.0);
-        let cut = cut(&poses, &MappingConfig::default()).unwrap();
+        let cut = cut(&poses, &Limits::default()).unwrap();
         assert_eq!(cut.stretches.len(), 3);
         for pair in cut.stretches.windows(2) {
             assert_eq!(pair[0].poses.last(), pair[1].poses.first());
@@ -132,7 +131,7 @@ mod tests {
             ..pose
         };
         let eastbound: Vec<_> = way(10_000, 0.0).into_iter().map(east).collect();
-        let cut = super::cut(&eastbound, &MappingConfig::default()).unwrap();
+        let cut = super::cut(&eastbound, &Limits::default()).unwrap();
         let zones: Vec<Vec<u16>> =
             cut.stretches.iter().map(|s| s.zones.iter().map(|z| z.epsg()).collect()).collect();
         assert!(zones.contains(&vec![32631, 32632]) && zones.contains(&vec![32632, 32631]), "{zones:?}");
