@@ -78,11 +78,14 @@ pub enum Experiment {
     Crowd,
     /// Streets made to be mistaken.
     Ambiguity,
+    /// What the map alone expects of fixes.
+    Localizability,
 }
 
 impl Experiment {
     /// All of them, in the order of the report.
-    pub const ALL: [Self; 5] = [Self::Headline, Self::Batch, Self::Drift, Self::Crowd, Self::Ambiguity];
+    pub const ALL: [Self; 6] =
+        [Self::Headline, Self::Batch, Self::Drift, Self::Crowd, Self::Ambiguity, Self::Localizability];
 
     /// Its name in a word.
     pub fn word(self) -> &'static str {
@@ -92,13 +95,19 @@ impl Experiment {
             Self::Drift => "drift",
             Self::Crowd => "crowd",
             Self::Ambiguity => "ambiguity",
+            Self::Localizability => "localizability",
         }
+    }
+
+    /// Does it need the streets that are made to be mistaken?
+    pub fn scenes(self) -> bool {
+        matches!(self, Self::Ambiguity | Self::Localizability)
     }
 
     /// The conditions it compares: variations of one.
     pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
         match self {
-            Self::Headline | Self::Ambiguity => vec![base],
+            Self::Headline | Self::Ambiguity | Self::Localizability => vec![base],
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),

@@ -5,6 +5,7 @@
 //! - [`world`]: maps of one day, a drive on another, the truth, [`simulated`] or [`logged`]; [`worlds`]: which.
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
+//! - [`localizability`]: what the map alone expects of a fix, and what came of it.
 //! - [`statistics`]: percentiles, intervals, curves.
 //! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report, experiment by experiment.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
@@ -16,6 +17,7 @@ pub mod condition;
 pub mod epoch;
 pub mod floor;
 pub mod groups;
+pub mod localizability;
 pub mod logged;
 pub mod map;
 pub mod method;

@@ -33,6 +33,10 @@ impl Section {
         match experiment {
             Experiment::Headline => headline(rows, base),
             Experiment::Ambiguity => ambiguity(rows, base),
+            Experiment::Localizability => {
+                let text = super::localizability::section(rows, &base);
+                Self { experiment, text, figures: Vec::new() }
+            }
             _ => swept(experiment, rows, &experiment.conditions(base, crowds)),
         }
     }
