@@ -80,6 +80,13 @@ pub fn wrap_angle(angle_rad: f64) -> f64 {
     if wrapped > PI { wrapped - 2.0 * PI } else { wrapped }
 }
 
+/// The direction of an axis, which is its opposite's too, brought into (-pi / 2, pi / 2].
+#[must_use]
+pub fn wrap_axis(direction_rad: f64) -> f64 {
+    let wrapped = direction_rad.rem_euclid(PI);
+    if wrapped > 0.5 * PI { wrapped - PI } else { wrapped }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,6 +115,9 @@ mod tests {
             let w = wrap_angle(a);
             prop_assert!(w > -PI && w <= PI);
             prop_assert!((w.sin() - a.sin()).abs() < 1e-9 && (w.cos() - a.cos()).abs() < 1e-9);
+            let axis = wrap_axis(a);
+            prop_assert!(axis > -0.5 * PI - 1e-12 && axis <= 0.5 * PI);
+            prop_assert!((axis.sin() * a.cos() - axis.cos() * a.sin()).abs() < 1e-9);
         }
     }
 

@@ -102,6 +102,7 @@ async fn an_upload_comes_back_as_tiles() {
     let route = GetCoverageRequest {
         latitude_deg: vec![AUSTIN.0, AUSTIN.0 + 0.1, 89.0],
         longitude_deg: vec![AUSTIN.1, AUSTIN.1, 0.0],
+        expectations: false,
     };
     let coverage = server.map().await.get_coverage(route).await.unwrap().into_inner();
     let day = (NOON_US / 86_400_000_000) as u32;

@@ -50,6 +50,34 @@ fn web_tile(at: LatLon, zoom: u32) -> String {
     format!("{zoom}/{}/{}.png", x as u32, y as u32)
 }
 
+/// Catches a layer that shows nothing of a mapped road, calls a town's road useless, or is not the one that the
+/// numbers tell.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_fixes_can_be_expected_to_be_is_drawn_and_told() {
+    let world = world().await;
+    let at = world.visit(200.0).truth[0].at;
+    let path = format!("/tiles/localizability/{}", web_tile(at, 18));
+    let picture = ask(world, &path);
+    assert_eq!((picture.status, picture.header("content-type")), (200, Some("image/png")));
+    let far = LatLon { lat_deg: at.lat_deg + 1.0, ..at };
+    let empty = ask(world, &format!("/tiles/localizability/{}", web_tile(far, 18)));
+    assert!(empty.status == 200 && empty.body != picture.body);
+
+    let tile = ask(world, &format!("/api/v1/tiles/at?lat={}&lon={}", at.lat_deg, at.lon_deg)).json();
+    let told = ask(world, &format!("/api/v1/tiles/{}/localizability", tile["id"].as_str().unwrap())).json();
+    assert!(told["version"].as_u64() >= tile["version"].as_u64(), "{told}");
+    let places = told["places"].as_array().unwrap();
+    let nearest = |place: &&serde_json::Value| {
+        let off = |key: &str, there: f64| place[key].as_f64().unwrap() - there;
+        let east = off("longitude_deg", at.lon_deg) * at.lat_deg.to_radians().cos();
+        (1e9 * off("latitude_deg", at.lat_deg).hypot(east)) as u64
+    };
+    let here = places.iter().min_by_key(nearest).unwrap();
+    assert_eq!(here["expected"], "USABLE", "{told}");
+    let sigma_m = here["weakest_sigma_m"].as_f64().unwrap();
+    assert!((0.05..0.4).contains(&sigma_m), "{told}");
+}
+
 /// Catches layers that are empty, in the wrong place, or drawn again although nothing has changed.
 #[tokio::test(flavor = "multi_thread")]
 async fn map_layers_are_pictures_that_are_sent_once() {

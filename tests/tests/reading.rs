@@ -138,6 +138,7 @@ async fn coverage_tells_the_mapped_road_from_the_unknown() {
     let request = GetCoverageRequest {
         latitude_deg: route.iter().map(|at| at.lat_deg).collect(),
         longitude_deg: route.iter().map(|at| at.lon_deg).collect(),
+        expectations: false,
     };
     let coverage = client.get_coverage(request).await.unwrap().into_inner();
     assert_eq!(coverage.epoch, world.answers.len() as u64);
@@ -147,9 +148,46 @@ async fn coverage_tells_the_mapped_road_from_the_unknown() {
     let (on, off) = coverage.newest_day.split_at(mapped.len());
     assert!(on.iter().all(|day| *day == 20_454) && off == [0, 0], "{coverage:?}");
 
-    let uneven = GetCoverageRequest { latitude_deg: vec![1.0, 2.0], longitude_deg: vec![1.0] };
-    let status = client.get_coverage(uneven).await.expect_err("it is refused");
-    assert_eq!(grpc::field(&status), "longitude_deg");
+    let refused = |rows: usize, others: usize, expectations| GetCoverageRequest {
+        latitude_deg: vec![1.0; rows],
+        longitude_deg: vec![1.0; others],
+        expectations,
+    };
+    for (request, field) in
+        [(refused(2, 1, false), "longitude_deg"), (refused(1025, 1025, true), "latitude_deg")]
+    {
+        let status = client.get_coverage(request).await.expect_err("it is refused");
+        assert_eq!(grpc::field(&status), field);
+    }
+}
+
+/// Catches expectations of the wrong place, without a map they rest on, or that are told unasked.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_route_is_told_where_fixes_can_be_expected() {
+    let world = world().await;
+    let mut client = grpc::reading(&world.service).await;
+    let mapped: Vec<LatLon> = world.visit(300.0).truth.iter().step_by(40).map(|pose| pose.at).collect();
+    let unknown = [0.02, 54.5].map(|north| LatLon { lat_deg: mapped[0].lat_deg + north, ..mapped[0] });
+    let route: Vec<LatLon> = mapped.iter().copied().chain(unknown).collect();
+    let request = GetCoverageRequest {
+        latitude_deg: route.iter().map(|at| at.lat_deg).collect(),
+        longitude_deg: route.iter().map(|at| at.lon_deg).collect(),
+        expectations: true,
+    };
+    let coverage = client.get_coverage(request.clone()).await.unwrap().into_inner();
+    let (on, off) = coverage.expected.split_at(mapped.len());
+    assert!(off.iter().all(|fix| fix.status() == FixStatus::TooLittleMap && fix.version == 0), "{off:?}");
+    let usable = on.iter().filter(|fix| fix.status() == FixStatus::Usable).count();
+    assert!(usable * 10 >= on.len() * 8, "{usable} of {}", on.len());
+    for fix in on.iter().filter(|fix| fix.status() == FixStatus::Usable) {
+        assert!(fix.weakest_sigma_m >= fix.strongest_sigma_m && fix.strongest_sigma_m > 0.05, "{fix:?}");
+        assert!(fix.weakest_sigma_m < 0.5 && fix.margin >= 12.0 && fix.sigma_yaw_rad < 0.02, "{fix:?}");
+        assert!((1..=coverage.epoch).contains(&fix.version), "{fix:?}");
+    }
+    let again = client.get_coverage(request.clone()).await.unwrap().into_inner();
+    assert_eq!(again, coverage);
+    let unasked = GetCoverageRequest { expectations: false, ..request };
+    assert!(client.get_coverage(unasked).await.unwrap().into_inner().expected.is_empty());
 }
 
 /// Catches a pose that is laid out or told on the wrong zone's grid, or without its convergence: the

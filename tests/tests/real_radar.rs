@@ -17,7 +17,7 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Lattice, Prior, Search};
 use echofix_core::batch::Batch;
 use echofix_core::drive::Drive;
-use echofix_core::evidence::{Pass, contribute};
+use echofix_core::evidence::{Pass, Share, contribute};
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -146,12 +146,12 @@ impl Fragment {
         let (scans, gate) = (&drive.scans[..MAPPED], Gate::default());
         let (seen, _) = contribute(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
             .expect("the radar is mounted");
-        let fold = |hits: &[_]| {
+        let fold = |share: &Share| {
             let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-            tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, hits);
+            tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, share);
             tile
         };
-        let tiles = seen.tiles.iter().map(|(id, hits)| (*id, fold(hits))).collect();
+        let tiles = seen.tiles.iter().map(|(id, share)| (*id, fold(share))).collect();
         Self { drive, grid, truth, scale, tiles }
     }
 

@@ -89,7 +89,13 @@ impl Aligner {
 }
 
 /// The summits, best first. Hills that cannot be rivals any more keep the score of their foot.
-fn climbed(field: &Field, points: &[[f32; 3]], prior: &Prior, peaks: &[Peak], summits: &mut Vec<Summit>) {
+pub(super) fn climbed(
+    field: &Field,
+    points: &[[f32; 3]],
+    prior: &Prior,
+    peaks: &[Peak],
+    summits: &mut Vec<Summit>,
+) {
     summits.clear();
     summits.extend(peaks.iter().map(|peak| Summit::foot(field, points, prior, peak)));
     let highest = summits.iter().map(|foot| foot.score).fold(0.0, f64::max);

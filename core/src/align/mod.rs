@@ -9,7 +9,8 @@
 //!    step; on the best one odometry's drift is estimated along with the pose.
 //! 4. [`verdict`]: may the answer be used, and how large can its error be?
 //!
-//! [`Aligner`] runs the four for one request after the other.
+//! [`Aligner`] runs the four for one request after the other. [`localizability`] asks the map alone what
+//! they would answer at a place.
 
 mod aligner;
 mod alternatives;
@@ -21,6 +22,7 @@ pub mod engine;
 pub mod fft;
 mod fft2;
 pub mod image;
+pub mod localizability;
 mod raster;
 pub mod score;
 pub mod simd;

@@ -65,6 +65,14 @@ impl Default for Integrity {
     }
 }
 
+impl Integrity {
+    /// Variance of the map's own error along each axis, square metres, where it amounts to so many surveys.
+    #[must_use]
+    pub fn map_variance(&self, passes: f64) -> f64 {
+        self.map_pose_m.powi(2) / passes + self.floor_m.powi(2)
+    }
+}
+
 /// May the answer be used? Anything but [`Verdict::Usable`] means no.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
@@ -251,8 +259,7 @@ impl Case<'_> {
         let inverse = best.information.cholesky().map(|c| c.inverse() * integrity.temperature);
         let unheld = Matrix3::from_diagonal_element(f64::INFINITY);
         let Some(mut covariance) = inverse.filter(|c| c.iter().all(|v| v.is_finite())) else { return unheld };
-        let passes = self.question.view.typical_passes();
-        let floor = integrity.map_pose_m.powi(2) / passes + integrity.floor_m.powi(2);
+        let floor = integrity.map_variance(self.question.view.typical_passes());
         covariance[(0, 0)] += floor;
         covariance[(1, 1)] += floor;
         covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);

@@ -30,6 +30,15 @@ const SIDE: usize = CELLS_PER_TILE;
 /// Cells beyond a tile's border whose hits still count within it.
 const HALO: i64 = (REACH_SIGMAS * SIGMA_M / CELL_M) as i64 + 1;
 
+/// A block of [`COARSE`] x [`COARSE`] cells that holds any hits: what one vote of a batch may come from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Block {
+    /// Mean place of its hits, metres from the tile's south-west corner.
+    pub at: [f32; 2],
+    /// Its hits in one of the passes that saw it.
+    pub hits: f32,
+}
+
 /// One tile, ready to be aligned against; made of its hits and those just beyond its borders.
 pub struct TileWeights {
     /// The tile.
@@ -40,6 +49,8 @@ pub struct TileWeights {
     coarse: Box<[u8]>,
     /// The points of the tile and its borders.
     pub points: PointIndex,
+    /// What stands in the tile itself, block by block.
+    pub blocks: Box<[Block]>,
     /// Occupied cells of the tile itself.
     pub cells: usize,
     /// Last UTC day anything was seen in it, counted from the Unix epoch.
@@ -63,6 +74,7 @@ impl TileWeights {
             coarse: pooled(&fine),
             fine,
             points,
+            blocks: blocks(own),
             cells: own.len(),
             newest_day: own.newest_day(),
             passes: typical_passes(own.cells().iter().map(|(_, cell)| cell)),
@@ -84,7 +96,11 @@ impl TileWeights {
     /// Bytes held, approximately.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.fine.len() + self.coarse.len() + self.points.bytes() + size_of::<Self>()
+        self.fine.len()
+            + self.coarse.len()
+            + self.points.bytes()
+            + size_of_val(&*self.blocks)
+            + size_of::<Self>()
     }
 }
 
@@ -106,6 +122,29 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
         }));
     }
     placed
+}
+
+/// The occupied blocks of a tile, row by row.
+fn blocks(tile: &Tile) -> Box<[Block]> {
+    const BLOCKS: usize = SIDE / COARSE;
+    let mut sums = vec![[0.0_f32; 4]; BLOCKS * BLOCKS];
+    for (index, cell) in tile.cells() {
+        let (x, y) = (*index as usize % SIDE, *index as usize / SIDE);
+        let ([fx, fy], hits) = (cell.centroid(), cell.hits as f32);
+        let sum = &mut sums[y / COARSE * BLOCKS + x / COARSE];
+        let more = [
+            hits * (x as f32 + fx as f32),
+            hits * (y as f32 + fy as f32),
+            hits,
+            hits / cell.passes.max(1) as f32,
+        ];
+        *sum = std::array::from_fn(|i| sum[i] + more[i]);
+    }
+    let occupied = sums.into_iter().filter(|[_, _, hits, _]| *hits > 0.0);
+    let mean = |sum: f32, hits: f32| sum / hits * CELL_M as f32;
+    occupied
+        .map(|[x, y, hits, of_a_pass]| Block { at: [mean(x, hits), mean(y, hits)], hits: of_a_pass })
+        .collect()
 }
 
 /// Hits weighted by the passes of their cells, and hits.

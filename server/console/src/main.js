@@ -5,7 +5,7 @@ import 'maplibre-gl/dist/maplibre-gl.css';
 import './console.css';
 import { byId, calm, el, gathered } from './dom.js';
 import { addFixes, drawFixes, fixDetails, outline, tileDetails } from './fixes.js';
-import { addRadar, createMap, frame, refresh, showLayer } from './map.js';
+import { LAYERS, addRadar, createMap, frame, refresh, showLayer } from './map.js';
 import { showFixes, showHealth, showProgress, showStream, showTotals, showUploads } from './panel.js';
 import { ask, follow } from './service.js';
 
@@ -143,4 +143,4 @@ byId('fold').addEventListener('click', ({ currentTarget }) => {
   currentTarget.setAttribute('aria-expanded', String(!folded));
 });
 const asked = new URLSearchParams(location.hash.slice(1)).get('layer');
-quietly(() => chooseLayer(['evidence', 'coverage', 'age'].includes(asked) ? asked : 'evidence'))();
+quietly(() => chooseLayer(LAYERS.includes(asked) ? asked : 'evidence'))();

@@ -7,7 +7,9 @@ import { addGraticule } from './graticule.js';
 
 setWorkerUrl(WORKER_URL);
 
-const LAYERS = ['evidence', 'coverage', 'age'];
+/** The radar layers and the first zoom that shows each. */
+const FROM_ZOOM = { evidence: 0, coverage: 0, age: 0, localizability: 16 };
+export const LAYERS = Object.keys(FROM_ZOOM);
 const GROUND = '#070b12';
 /** A map wider than this is shown at its densest part instead of as a whole, degrees. */
 const WIDE = 0.5;
@@ -46,6 +48,7 @@ export function addRadar(map) {
       type: 'raster',
       tiles: [`${location.origin}/tiles/${layer}/{z}/{x}/{y}{ratio}.png`],
       tileSize: 256,
+      minzoom: FROM_ZOOM[layer],
       maxzoom: 22,
       attribution: 'Echofix radar map',
     });

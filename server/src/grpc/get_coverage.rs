@@ -3,39 +3,50 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use echofix_core::align::localizability::Expected;
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, Grid, LatLon, TileId, Zone};
+use echofix_core::pose::{Pose2, wrap_axis};
 use echofix_core::tile::Tile;
-use echofix_proto::v1::{GetCoverageRequest, GetCoverageResponse};
+use echofix_proto::v1::{ExpectedFix, FixStatus, GetCoverageRequest, GetCoverageResponse};
 use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
 
 use super::violation::{Violation, require};
 use super::{blocking, decode, status};
+use crate::locating::Expectations;
 use crate::store::{self, MapStore};
 
 /// Points of a route, at most.
 const MAX_POINTS: usize = 4_096;
+/// Points of a route at which fixes are expected, at most: each may take some milliseconds.
+const MAX_EXPECTED: usize = 1_024;
 /// How far around a point cells count, metres.
 const RADIUS_M: f64 = 50.0;
 /// Decoded tiles kept for the next points: the neighbourhoods of several.
 const TILES_KEPT: usize = 64;
 
 pub(super) async fn get_coverage(
-    store: Arc<dyn MapStore>,
+    (store, expectations): (Arc<dyn MapStore>, Arc<Expectations>),
     request: GetCoverageRequest,
     place: OwnedSemaphorePermit,
 ) -> Result<GetCoverageResponse, Status> {
     let route = route(&request).map_err(|violation| status::invalid(&violation))?;
     blocking(move || {
         let _place = place;
-        coverage(&*store, &route)
+        let mut response = coverage(&*store, &route)?;
+        if request.expectations {
+            response.expected = expected(&expectations, &route)?;
+        }
+        Ok(response)
     })
     .await?
 }
 
 fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, Violation> {
-    let GetCoverageRequest { latitude_deg, longitude_deg } = request;
+    let GetCoverageRequest { latitude_deg, longitude_deg, expectations } = request;
     let rows = latitude_deg.len();
+    let many = format!("has more than {MAX_EXPECTED} values with `expectations`");
+    require(!expectations || rows <= MAX_EXPECTED, "latitude_deg", &many)?;
     require(rows <= MAX_POINTS, "latitude_deg", &format!("has more than {MAX_POINTS} values"))?;
     let described = format!("has {} values but `latitude_deg` has {rows}", longitude_deg.len());
     require(longitude_deg.len() == rows, "longitude_deg", &described)?;
@@ -58,6 +69,38 @@ fn coverage(store: &dyn MapStore, route: &[LatLon]) -> Result<GetCoverageRespons
         response.newest_day.push(u32::from(seen.newest_day));
     }
     Ok(response)
+}
+
+/// What fixes along a route can be expected to be.
+fn expected(expectations: &Expectations, route: &[LatLon]) -> Result<Vec<ExpectedFix>, Status> {
+    let unmapped = ExpectedFix { status: FixStatus::TooLittleMap.into(), ..ExpectedFix::default() };
+    route.iter().map(|at| Ok(expected_at(expectations, *at)?.unwrap_or(unmapped))).collect()
+}
+
+fn expected_at(expectations: &Expectations, at: LatLon) -> Result<Option<ExpectedFix>, Status> {
+    let Ok(grid) = Grid::of(at) else { return Ok(None) };
+    let Ok([x_m, y_m]) = grid.project(at) else { return Ok(None) };
+    let id = TileId::of(grid.zone(), [x_m, y_m]);
+    let Some(tile) = expectations.tile(id).map_err(|error| status::store(&error))? else { return Ok(None) };
+    let fix = tile.at(id, [x_m, y_m]);
+    let axis = Pose2::new(x_m, y_m, fix.weak_direction_rad());
+    let Ok((_, direction_rad)) = grid.pose_to_geodetic(&axis) else { return Ok(None) };
+    let status = match expectations.verdict(fix) {
+        Expected::Usable => FixStatus::Usable,
+        Expected::Ambiguous => FixStatus::Ambiguous,
+        Expected::TooLittleStructure => FixStatus::TooLittleStructure,
+    };
+    Ok(Some(ExpectedFix {
+        status: status.into(),
+        weakest_sigma_m: fix.weakest_m(),
+        weakest_direction_rad: wrap_axis(direction_rad),
+        strongest_sigma_m: fix.strongest_m(),
+        sigma_yaw_rad: fix.sigma_yaw_rad(),
+        margin: fix.margin,
+        rival_east_m: fix.rival.map(|rival| rival.x_m),
+        rival_north_m: fix.rival.map(|rival| rival.y_m),
+        version: tile.version,
+    }))
 }
 
 /// What lies around a point.

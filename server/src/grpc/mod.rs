@@ -19,6 +19,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use echofix_proto::v1;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::locating::Expectations;
 use crate::store::MapStore;
 pub use localize::LocalizationApi;
 pub use upload::MappingApi;
@@ -26,6 +27,7 @@ pub use upload::MappingApi;
 /// Serves tiles and coverage.
 pub struct MapApi {
     store: Arc<dyn MapStore>,
+    expectations: Arc<Expectations>,
     reads: Arc<tokio::sync::Semaphore>,
     stall: std::time::Duration,
 }
@@ -34,8 +36,13 @@ impl MapApi {
     /// Reads from `store`, at most `at_once` requests at a time; a caller that takes nothing for
     /// as long as `stall` is given up.
     #[must_use]
-    pub fn new(store: Arc<dyn MapStore>, at_once: usize, stall: std::time::Duration) -> Self {
-        Self { store, reads: Arc::new(tokio::sync::Semaphore::new(at_once)), stall }
+    pub fn new(
+        store: Arc<dyn MapStore>,
+        expectations: Arc<Expectations>,
+        at_once: usize,
+        stall: std::time::Duration,
+    ) -> Self {
+        Self { store, expectations, reads: Arc::new(tokio::sync::Semaphore::new(at_once)), stall }
     }
 
     /// A place among the readers.
@@ -64,7 +71,8 @@ impl v1::map_service_server::MapService for MapApi {
         request: Request<v1::GetCoverageRequest>,
     ) -> Result<Response<v1::GetCoverageResponse>, Status> {
         let place = self.place()?;
-        get_coverage::get_coverage(self.store.clone(), request.into_inner(), place).await.map(Response::new)
+        let known = (self.store.clone(), self.expectations.clone());
+        get_coverage::get_coverage(known, request.into_inner(), place).await.map(Response::new)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Why a request was not answered, and how that is said over HTTP.
 
+use std::sync::Arc;
+
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::http::{HeaderValue, StatusCode, header};
@@ -37,7 +39,7 @@ pub enum Error {
     },
     /// The store refused.
     #[error("the map store: {0}")]
-    Store(#[from] store::Error),
+    Store(Arc<store::Error>),
     /// Our own failure.
     #[error("{0}")]
     Internal(String),
@@ -50,9 +52,8 @@ impl Error {
             Self::NotFound(_) => StatusCode::NOT_FOUND,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
-            Self::Saturated(_) | Self::Store(store::Error::Rebuilding { .. }) => {
-                StatusCode::SERVICE_UNAVAILABLE
-            }
+            Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Store(error) if is_rebuilding(error) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
             Self::Store(_) | Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
         }
@@ -60,7 +61,7 @@ impl Error {
 
     fn code(&self) -> &'static str {
         match self {
-            Self::Store(store::Error::Rebuilding { .. }) => "rebuilding",
+            Self::Store(error) if is_rebuilding(error) => "rebuilding",
             Self::BadRequest(_) => "bad_request",
             Self::NotFound(_) => "not_found",
             Self::MethodNotAllowed => "method_not_allowed",
@@ -93,6 +94,22 @@ impl IntoResponse for Error {
             _ => None,
         };
         response
+    }
+}
+
+fn is_rebuilding(error: &store::Error) -> bool {
+    matches!(error, store::Error::Rebuilding { .. })
+}
+
+impl From<store::Error> for Error {
+    fn from(error: store::Error) -> Self {
+        Self::Store(Arc::new(error))
+    }
+}
+
+impl From<Arc<store::Error>> for Error {
+    fn from(error: Arc<store::Error>) -> Self {
+        Self::Store(error)
     }
 }
 

@@ -59,7 +59,7 @@ pub async fn tilejson(
         "version": format!("1.0.{}", overview.epoch),
         "scheme": "xyz",
         "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png", origin(&headers))],
-        "minzoom": 0,
+        "minzoom": layer.min_zoom(),
         "maxzoom": MAX_ZOOM,
         "bounds": overview.bounds().unwrap_or(WORLD),
         "center": overview.center().map(|[lon, lat]| json!([lon, lat, 16])),
@@ -180,6 +180,28 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn what_is_expected_of_fixes_is_drawn_near_and_follows_the_neighbours() {
+        let beside = TileId { x: austin().x + 1, ..austin() };
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)]), (beside, &[(9, 1)])]);
+        let far = pixels_of(site.get(&format!("/tiles/localizability/{}.png", place(15, 7).0)).await).await;
+        assert!(far.iter().all(|p| p[3] == 0), "from far away it would take too long");
+        let (path, [px, py]) = place(18, 7);
+        let path = format!("/tiles/localizability/{path}.png");
+        let first = site.get(&path).await;
+        let tag = first.headers()["etag"].to_str().unwrap().to_owned();
+        // Two cells are no structure: the warm end of the ramp.
+        let [red, _, blue, opacity] = pixels_of(first).await[py * 256 + px];
+        assert!(opacity > 0 && red > blue);
+        let again = site.send(Method::GET, &path, &[("if-none-match", &tag)]).await;
+        assert_eq!(again.status(), StatusCode::NOT_MODIFIED);
+        site.store.touch(beside);
+        let changed = site.send(Method::GET, &path, &[("if-none-match", &tag)]).await;
+        assert_eq!(changed.status(), StatusCode::OK, "the neighbour is within reach");
+        let body = json_of(site.get("/tiles/localizability.json").await).await;
+        assert_eq!((&body["minzoom"], &body["legend"][1]["label"]), (&json!(16), &json!("ambiguous")));
+    }
+
+    #[tokio::test]
     async fn a_pixel_is_drawn_from_the_zone_it_belongs_to() {
         // Near the border at 6 degrees east the map keeps both zones on both sides.
         let tile = |epsg, lon_deg| {
@@ -234,12 +256,12 @@ mod tests {
     async fn bad_addresses_say_what_is_expected() {
         let site = Site::default();
         for (path, status, hint) in [
-            ("/tiles/roads/0/0/0.png", 404, "evidence, coverage or age"),
+            ("/tiles/roads/0/0/0.png", 404, "evidence, coverage, age or localizability"),
             ("/tiles/evidence/23/0/0.png", 400, "z from 0 to 22"),
             ("/tiles/evidence/1/2/0.png", 400, "2^z - 1"),
             ("/tiles/evidence/1/0/0.jpg", 400, "y.png"),
             ("/tiles/evidence", 404, "<layer>.json"),
-            ("/tiles/roads.json", 404, "evidence, coverage or age"),
+            ("/tiles/roads.json", 404, "evidence, coverage, age or localizability"),
         ] {
             let response = site.get(path).await;
             assert_eq!(response.status(), status, "{path}");

@@ -4,6 +4,7 @@
 //! - `limits`: what one request or a crowd may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
+//! - `expectation`: what fixes in a tile can be expected to be.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
@@ -14,6 +15,7 @@ mod catalog;
 mod console;
 mod day;
 mod error;
+mod expectation;
 mod layers;
 mod limits;
 mod live;
@@ -32,6 +34,7 @@ use tokio::sync::watch;
 
 use crate::feed::Feed;
 use crate::health::Health;
+use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::MapStore;
 use error::Error;
@@ -41,6 +44,8 @@ use error::Error;
 pub struct HttpState {
     /// The map.
     pub store: Arc<dyn MapStore>,
+    /// What fixes can be expected to be.
+    pub expectations: Arc<Expectations>,
     /// The last fixes and uploads.
     pub feed: Arc<Feed>,
     /// What the service counts.
@@ -60,7 +65,8 @@ struct App {
 
 /// The routes, ready to be served.
 pub fn router(state: HttpState) -> Router {
-    let artist = Arc::new(raster::Artist::new(Arc::clone(&state.store)));
+    let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
+    let artist = Arc::new(artist);
     let app = Arc::new(App { state, artist, places: limits::Places::default() });
     routes()
         .into_iter()
@@ -87,6 +93,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map", get(catalog::map)),
         ("/api/v1/tiles/at", get(catalog::tile_at)),
         ("/api/v1/tiles/{epsg}/{x}/{y}", get(catalog::tile)),
+        ("/api/v1/tiles/{epsg}/{x}/{y}/localizability", get(expectation::tile)),
         ("/api/v1/fixes", get(live::fixes)),
         ("/api/v1/uploads", get(live::uploads)),
         ("/api/v1/events", get(live::events)),

@@ -63,6 +63,7 @@ mod tests {
         for (path, schema) in [
             ("/api/v1/map".to_owned(), "Map"),
             (format!("/api/v1/tiles/{}", austin()), "Tile"),
+            (format!("/api/v1/tiles/{}/localizability", austin()), "Localizability"),
             ("/tiles/age.json".to_owned(), "TileJson"),
             ("/readyz".to_owned(), "Readiness"),
             ("/nowhere".to_owned(), "Error"),
@@ -70,6 +71,9 @@ mod tests {
             let body = json_of(site.get(&path).await).await;
             assert_eq!(keys(&body), described(schema), "{path}");
         }
+        let expected = format!("/api/v1/tiles/{}/localizability", austin());
+        let body = json_of(site.get(&expected).await).await;
+        assert_eq!(keys(&body["places"][0]), described("ExpectedFix"));
         let plain = |event: Result<Value, _>| -> Value {
             let e: Result<Value, serde_json::Error> = event;
             e.unwrap()

@@ -11,6 +11,8 @@ use axum::body::{Body, to_bytes};
 use axum::http::{Method, Request};
 use axum::response::Response;
 use bytes::Bytes;
+use echofix_core::align::Search;
+use echofix_core::align::verdict::Integrity;
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Tile, encode};
@@ -20,6 +22,7 @@ use uuid::Uuid;
 
 use super::{HttpState, router};
 use crate::feed::{FixEvent, UploadEvent};
+use crate::locating::Expectations;
 use crate::store::{Error, MapStore, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload};
 
 /// 2024-10-04
@@ -177,8 +180,14 @@ impl Site {
     pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
         let store = Arc::new(FakeStore::with_tiles(tiles));
         let ending = watch::Sender::new(false);
+        let known = Arc::clone(&store) as Arc<dyn MapStore>;
         let state = HttpState {
-            store: Arc::clone(&store) as Arc<dyn MapStore>,
+            expectations: Arc::new(Expectations::new(
+                Arc::clone(&known),
+                Search::default(),
+                Integrity::default(),
+            )),
+            store: known,
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),

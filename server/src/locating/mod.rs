@@ -1,19 +1,23 @@
-//! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds.
+//! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds; and what such
+//! answers can be expected to be.
 
 mod cache;
 mod config;
+mod expectation;
 mod slots;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 pub use config::LocatingConfig;
+use echofix_core::align::localizability::Expected;
 use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::window::Frame;
+pub use expectation::{Expectations, PLACES, TileExpectation};
 
 use crate::store::{self, MapStore};
 use cache::{Found, TileCache};
@@ -397,6 +401,16 @@ fn too_few(batch: &Batch, least: usize) -> Refusal {
 fn no_map(frame: Frame, at: LatLon) -> Refusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
     Refusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
+}
+
+/// The contract's word for what a fix will most likely be told, without its prefix.
+#[must_use]
+pub fn expected_word(expected: Expected) -> &'static str {
+    match expected {
+        Expected::Usable => "USABLE",
+        Expected::Ambiguous => "AMBIGUOUS",
+        Expected::TooLittleStructure => "TOO_LITTLE_STRUCTURE",
+    }
 }
 
 /// The contract's word for a verdict, without its prefix.

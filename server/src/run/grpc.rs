@@ -37,7 +37,7 @@ pub(super) async fn serve(
     ended: impl Future<Output = ()> + Send,
 ) -> Result<(), Error> {
     let Limits { connections, message_bytes, reads_at_once, .. } = shared.config.limits;
-    let (limits, Shared { store, feed, metrics, .. }) = (&shared.config.limits, &shared);
+    let (limits, Shared { store, expectations, feed, metrics, .. }) = (&shared.config.limits, &shared);
 
     let mapping = shared.config.mapping.clone();
     let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, limits.stall());
@@ -52,7 +52,8 @@ pub(super) async fn serve(
         .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
-    let map = MapServiceServer::new(MapApi::new(store.clone(), reads_at_once, limits.stall()))
+    let map = MapApi::new(store.clone(), expectations.clone(), reads_at_once, limits.stall());
+    let map = MapServiceServer::new(map)
         .max_decoding_message_size(message_bytes)
         .max_encoding_message_size(MAX_TILE_MESSAGE)
         .accept_compressed(Gzip)

@@ -25,6 +25,7 @@ use tokio::sync::watch;
 use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
+use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{self, EmbeddedStore, MapStore, Options};
 pub use signals::signalled;
@@ -74,6 +75,7 @@ pub enum Error {
 struct Shared {
     config: Arc<Config>,
     store: Arc<dyn MapStore>,
+    expectations: Arc<Expectations>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     health: Arc<Health>,
@@ -113,9 +115,12 @@ impl Server {
         };
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
+        let store: Arc<dyn MapStore> = Arc::new(store);
+        let (search, integrity) = (config.locating.search(), config.locating.integrity());
         let shared = Shared {
+            expectations: Arc::new(Expectations::new(Arc::clone(&store), search, integrity)),
             config: Arc::new(config),
-            store: Arc::new(store),
+            store,
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),

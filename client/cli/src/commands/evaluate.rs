@@ -118,7 +118,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
 fn experiments(args: &Args) -> Vec<Experiment> {
     let logs = args.drive.is_some();
     let asked = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
-    asked.iter().copied().filter(|e| !(logs && *e == Experiment::Ambiguity)).collect()
+    asked.iter().copied().filter(|e| !(logs && e.scenes())).collect()
 }
 
 fn places(args: &Args) -> Places {
@@ -129,7 +129,7 @@ fn places(args: &Args) -> Places {
     let towns =
         if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
     let only_scenes = experiments == [Experiment::Ambiguity];
-    let scenes = experiments.contains(&Experiment::Ambiguity);
+    let scenes = experiments.iter().any(|e| e.scenes());
     Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
 }
 

@@ -87,6 +87,8 @@ pub enum Experiment {
     Crowd,
     /// Streets made to be mistaken.
     Ambiguity,
+    /// What the map alone expects of fixes.
+    Localizability,
     /// What each step is worth.
     Ablation,
     /// How often the fast search misses the exact maximum.
@@ -95,12 +97,13 @@ pub enum Experiment {
 
 impl Experiment {
     /// All of them, in the order of the report.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Headline,
         Self::Batch,
         Self::Drift,
         Self::Crowd,
         Self::Ambiguity,
+        Self::Localizability,
         Self::Ablation,
         Self::Misses,
     ];
@@ -113,6 +116,7 @@ impl Experiment {
             Self::Drift => "drift",
             Self::Crowd => "crowd",
             Self::Ambiguity => "ambiguity",
+            Self::Localizability => "localizability",
             Self::Ablation => "ablation",
             Self::Misses => "misses",
         }
@@ -127,10 +131,15 @@ impl Experiment {
         }
     }
 
+    /// Does it need the streets that are made to be mistaken?
+    pub fn scenes(self) -> bool {
+        matches!(self, Self::Ambiguity | Self::Localizability)
+    }
+
     /// The conditions it compares: variations of one.
     pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
         match self {
-            Self::Headline | Self::Ambiguity | Self::Misses => vec![base],
+            Self::Headline | Self::Ambiguity | Self::Localizability | Self::Misses => vec![base],
             Self::Ablation => vec![base, base.drifted_most()],
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),

@@ -185,7 +185,7 @@ impl Windows {
     }
 
     /// The weights of the tiles of a square.
-    fn weights(&self, map: &RadarMap, frame: Frame) -> Vec<Arc<TileWeights>> {
+    pub fn weights(&self, map: &RadarMap, frame: Frame) -> Vec<Arc<TileWeights>> {
         let known = frame.tiles().filter(|id| map.tile(*id).is_some());
         let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
         known.map(|id| self.tiles.get_with((map.key, id), || prepare(id))).collect()

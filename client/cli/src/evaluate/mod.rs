@@ -5,6 +5,7 @@
 //! - [`world`]: maps of one day, a drive on another, the truth, [`simulated`] or [`logged`]; [`worlds`]: which.
 //! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
+//! - [`localizability`]: what the map alone expects of a fix, and what came of it.
 //! - [`statistics`]: percentiles, intervals, curves.
 //! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report,
 //!   experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
@@ -18,6 +19,7 @@ pub mod condition;
 pub mod epoch;
 pub mod floor;
 pub mod groups;
+pub mod localizability;
 pub mod logged;
 pub mod map;
 pub mod method;

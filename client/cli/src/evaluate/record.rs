@@ -88,6 +88,14 @@ pub struct Record {
     pub margin: Option<f64>,
     /// Milliseconds of the fix.
     pub ms: f64,
+    /// What the map alone expects of a fix at the true place; empty where it was not asked.
+    pub forecast: &'static str,
+    /// Its horizontal sigma, without the map's own error, metres.
+    pub forecast_m: Option<f64>,
+    /// Its sigma along the weakest axis, with the map's own error, metres.
+    pub forecast_weakest_m: Option<f64>,
+    /// Its margin over the best place elsewhere, nats.
+    pub forecast_margin: Option<f64>,
 }
 
 /// Where the vehicle was, and what else the answer is compared with.

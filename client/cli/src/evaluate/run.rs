@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::condition::Condition;
 use super::epoch::{Asked, Epoch, ask, epochs, prior};
+use super::localizability::Forecaster;
 use super::map::Movers;
 use super::method::{Method, Name, Windows};
 use super::record::{Facts, Record};
@@ -70,11 +71,17 @@ pub fn run(
     let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
     bar.inc_length(epochs.len() as u64);
     let rows = epochs.par_iter().map_init(
-        || plan.all_methods().into_iter().map(|name| (name, name.method(windows))).collect::<Vec<_>>(),
-        |methods, epoch| {
-            let rows = at_epoch(world, epoch, conditions, plan, methods);
+        || {
+            (
+                plan.all_methods().into_iter().map(|name| (name, name.method(windows))).collect::<Vec<_>>(),
+                Forecaster::new(windows),
+            )
+        },
+        |(methods, forecaster), epoch| {
+            let mut rows = at_epoch(world, epoch, conditions, plan, methods)?;
+            forecaster.add(world, epoch, &plan.base, &mut rows)?;
             bar.inc(1);
-            rows
+            Ok(rows)
         },
     );
     let rows: Vec<Vec<Record>> = rows.collect::<anyhow::Result<_>>()?;

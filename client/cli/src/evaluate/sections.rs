@@ -48,6 +48,10 @@ impl Section {
         match experiment {
             Experiment::Headline => headline(&asked, base),
             Experiment::Ambiguity => ambiguity(&asked, base),
+            Experiment::Localizability => {
+                let text = super::localizability::section(rows, &base);
+                Self { experiment, text, figures: Vec::new() }
+            }
             Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
             Experiment::Misses => misses::section(&all, base),
             _ => swept(experiment, &asked, &experiment.conditions(base, crowds)),

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::condition::{Condition, Experiment};
 use super::groups::{methods, of_method};
+use super::localizability;
 use super::record::Record;
 use super::simulated::is_scene;
 use crate::statistics::Percentiles;
@@ -12,6 +13,12 @@ use crate::statistics::Percentiles;
 pub fn of(rows: &[Record], experiments: &[Experiment], base: Condition, crowds: &[usize]) -> Value {
     let mut all = Vec::new();
     for experiment in experiments {
+        if *experiment == Experiment::Localizability {
+            all.push(
+                json!({ "experiment": experiment.word(), "figures": localizability::figures(rows, &base) }),
+            );
+            continue;
+        }
         for condition in experiment.conditions(base, crowds) {
             let streets = *experiment == Experiment::Ambiguity;
             let of_all = |r: &&Record| {

@@ -8,10 +8,11 @@ use echofix_core::geo::TileId;
 use moka::sync::Cache;
 
 use super::plane::Plane;
-use super::scene::{Scene, TILES_FROM};
+use super::scene::{PLACE_SHIFT, Scene, TILES_FROM};
 use super::summary::{self, Summary};
-use super::{Layer, Overview, View, palette};
+use super::{Layer, Overview, Spot, View, palette};
 use crate::http::error::Error;
+use crate::locating::Expectations;
 use crate::store::{MapStore, TileInfo};
 
 /// Bytes of pictures to remember.
@@ -32,6 +33,7 @@ pub struct Answer {
 /// Draws map tiles. Every call may block on the disk.
 pub struct Artist {
     store: Arc<dyn MapStore>,
+    expectations: Arc<Expectations>,
     pictures: Cache<(Layer, View), (String, Bytes)>,
     summaries: Cache<TileId, (u64, Arc<Summary>)>,
     overview: Mutex<Option<(Instant, Arc<Overview>)>>,
@@ -39,9 +41,10 @@ pub struct Artist {
 
 impl Artist {
     /// An artist who has drawn nothing yet.
-    pub fn new(store: Arc<dyn MapStore>) -> Self {
+    pub fn new(store: Arc<dyn MapStore>, expectations: Arc<Expectations>) -> Self {
         Self {
             store,
+            expectations,
             pictures: Cache::builder()
                 .max_capacity(PICTURES)
                 .weigher(|_, (_, png): &(String, Bytes)| png.len() as u32)
@@ -59,10 +62,10 @@ impl Artist {
     /// # Errors
     /// When the store refuses.
     pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Answer, Error> {
-        let scene = if view.z < TILES_FROM {
-            Scene::Far(self.overview()?)
-        } else {
-            Scene::near(&*self.store, &view)?
+        let scene = match view.z {
+            z if z < layer.min_zoom() => Scene::Near(Vec::new()),
+            z if z < TILES_FROM => Scene::Far(self.overview()?),
+            _ => Scene::near(&*self.store, layer, &view)?,
         };
         let newest_day = self.store.totals().newest_day;
         let tag = scene.tag(layer, &view, newest_day);
@@ -72,7 +75,7 @@ impl Artist {
         if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(kept, _)| *kept == tag) {
             return Ok(Answer { tag, png: Some(png) });
         }
-        let spots = scene.spots(layer, &view, &|plane, tile| self.fetch(plane, tile))?;
+        let spots = scene.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
         let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
         self.pictures.insert((layer, view), (tag.clone(), png.clone()));
         Ok(Answer { tag, png: Some(png) })
@@ -96,9 +99,16 @@ impl Artist {
         Ok(overview)
     }
 
-    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one.
-    fn fetch(&self, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
-        if plane.shift() >= summary::SHIFT {
+    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or place by place,
+    /// where it is shown what can be expected of fixes.
+    fn fetch(&self, layer: Layer, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
+        if layer == Layer::Localizability {
+            if let Some(expected) = self.expectations.tile(tile.id)? {
+                let spot = |place| Spot::of_expected(place, self.expectations.verdict(place));
+                let found = expected.places().map(|(x, y, place)| (x as u32, y as u32, spot(place)));
+                plane.add(tile.id, PLACE_SHIFT, found);
+            }
+        } else if plane.shift() >= summary::SHIFT {
             if let Some(summary) = self.summary(tile)? {
                 plane.add(tile.id, summary::SHIFT, summary.blocks());
             }

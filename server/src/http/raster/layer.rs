@@ -5,6 +5,9 @@ use std::str::FromStr;
 
 use crate::http::error::Error;
 
+/// From this zoom on a view shows what can be expected of fixes: at most some 120 tiles lie under it.
+const EXPECTATIONS_FROM: u8 = 16;
+
 /// A layer of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Layer {
@@ -14,11 +17,13 @@ pub enum Layer {
     Coverage,
     /// Occupied cells, by the days since they were last seen.
     Age,
+    /// How well fixes can be expected to be.
+    Localizability,
 }
 
 impl Layer {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Evidence, Self::Coverage, Self::Age];
+    pub const ALL: [Self; 4] = [Self::Evidence, Self::Coverage, Self::Age, Self::Localizability];
 
     /// Its name in addresses.
     pub fn name(self) -> &'static str {
@@ -26,7 +31,13 @@ impl Layer {
             Self::Evidence => "evidence",
             Self::Coverage => "coverage",
             Self::Age => "age",
+            Self::Localizability => "localizability",
         }
+    }
+
+    /// The first zoom that shows it: from farther away it would take too long to make.
+    pub fn min_zoom(self) -> u8 {
+        if self == Self::Localizability { EXPECTATIONS_FROM } else { 0 }
     }
 
     /// What it shows, in a sentence.
@@ -36,6 +47,9 @@ impl Layer {
             Self::Coverage => "Tiles of 51.2 m that hold any evidence; brighter where they hold more.",
             Self::Age => {
                 "Occupied cells by the days since they were last seen, counted from the map's newest day."
+            }
+            Self::Localizability => {
+                "What fixes can be expected to be, by the map alone: their sigma along the weakest axis, or why there would be none."
             }
         }
     }
@@ -51,7 +65,9 @@ impl FromStr for Layer {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
-        let expected = || Error::NotFound(format!("no layer `{text}`; expected evidence, coverage or age"));
+        let expected = || {
+            Error::NotFound(format!("no layer `{text}`; expected evidence, coverage, age or localizability"))
+        };
         Self::ALL.into_iter().find(|layer| layer.name() == text).ok_or_else(expected)
     }
 }

@@ -21,7 +21,9 @@ pub use overview::{Overview, corners};
 pub use palette::legend;
 pub use view::{MAX_ZOOM, View};
 
+use echofix_core::align::localizability::{Expected, Localizability};
 use echofix_core::evidence::Cell;
+use palette::{AMBIGUOUS, TOO_LITTLE, level_of_sigma};
 
 /// What a spot of the map shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -48,6 +50,16 @@ impl Spot {
     fn of_count(cells: u32, full: f64, day: u16) -> Self {
         let share = (f64::from(cells).ln_1p() / full.ln_1p()).min(1.0);
         Self { level: (30.0 + 190.0 * share * share) as u8, day }
+    }
+
+    /// A place by what can be expected of fixes there.
+    fn of_expected(expected: &Localizability, verdict: Expected) -> Self {
+        let level = match verdict {
+            Expected::TooLittleStructure => TOO_LITTLE,
+            Expected::Ambiguous => AMBIGUOUS,
+            Expected::Usable => level_of_sigma(expected.weakest_m()),
+        };
+        Self { level, day: 0 }
     }
 
     /// The stronger and the newer of two.

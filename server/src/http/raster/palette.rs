@@ -36,6 +36,32 @@ const AGE: [(u8, [u8; 3]); 5] = [
     (180, [158, 62, 70]),
 ];
 
+/// Level of a place where too little stands for a fix.
+pub const TOO_LITTLE: u8 = 1;
+/// Level of a place that looks like another one.
+pub const AMBIGUOUS: u8 = 40;
+/// Sigmas of a fix that is just usable and of one as good as they get, metres, and their levels.
+const SIGMAS_M: [f64; 2] = [0.5, 0.1];
+const SIGMA_LEVELS: [u8; 2] = [80, 255];
+
+/// Where no fix can be expected is warm, where one can cold, and bright where it is good.
+const LOCALIZABILITY: [(u8, Rgba); 6] = [
+    (TOO_LITTLE, [158, 62, 70, 150]),
+    (AMBIGUOUS, [240, 162, 74, 150]),
+    (SIGMA_LEVELS[0], [70, 92, 168, 140]),
+    (150, [52, 150, 190, 150]),
+    (210, [82, 214, 178, 160]),
+    (SIGMA_LEVELS[1], [196, 255, 214, 175]),
+];
+
+/// The level of a usable place by its sigma along the weakest axis: of equal ratios equal steps.
+pub fn level_of_sigma(sigma_m: f64) -> u8 {
+    let [worst, best] = SIGMAS_M;
+    let share = ((worst / sigma_m).ln() / (worst / best).ln()).clamp(0.0, 1.0);
+    let [low, high] = SIGMA_LEVELS.map(f64::from);
+    (low + share * (high - low)).round() as u8
+}
+
 /// An entry of a layer's legend.
 #[derive(Debug, Serialize)]
 pub struct Entry {
@@ -60,6 +86,12 @@ pub fn legend(layer: Layer) -> Vec<Entry> {
             evidence,
         ),
         Layer::Coverage => by_level(&[("few cells", 40), ("", 130), ("many cells", 220)], coverage),
+        Layer::Localizability => {
+            let no_fix = [("no structure", TOO_LITTLE), ("ambiguous", AMBIGUOUS)];
+            let sigmas = [("50 cm", 0.5), ("", 0.32), ("20 cm", 0.2), ("", 0.14), ("10 cm", 0.1)];
+            let sigmas = sigmas.map(|(label, sigma_m)| (label, level_of_sigma(sigma_m)));
+            by_level(&[&no_fix[..], &sigmas].concat(), localizability)
+        }
         Layer::Age => AGE
             .iter()
             .map(|(days, color)| match days {
@@ -77,6 +109,10 @@ fn evidence(level: u8) -> Rgba {
 
 fn coverage(level: u8) -> Rgba {
     along(&COVERAGE, level)
+}
+
+fn localizability(level: u8) -> Rgba {
+    along(&LOCALIZABILITY, level)
 }
 
 fn age(spot: Spot, newest_day: u16) -> Rgba {
@@ -108,6 +144,7 @@ pub fn paint(layer: Layer, side: usize, spots: &[Spot], newest_day: u16) -> Resu
         (Layer::Evidence, level) => EVIDENCE_BY_LEVEL[usize::from(level)],
         (Layer::Coverage, level) => coverage(level),
         (Layer::Age, _) => age(*spot, newest_day),
+        (Layer::Localizability, level) => localizability(level),
     };
     let pixels: Vec<u8> = spots.iter().flat_map(color).collect();
     encode(side, &pixels).map_err(|e| Error::Internal(format!("a picture could not be encoded: {e}")))

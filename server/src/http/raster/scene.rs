@@ -9,6 +9,7 @@ use super::plane::{Plane, TILE_SHIFT};
 use super::view::Lattice;
 use super::{Layer, Overview, Spot, View};
 use crate::http::error::Error;
+use crate::locating::PLACES;
 use crate::store::{MapStore, TileInfo};
 
 /// From this zoom on a view shows tiles, below it the overview's blocks.
@@ -20,6 +21,11 @@ pub const CELLS_FROM: u8 = 14;
 const FULL: f64 = 12_000.0;
 /// Narrowest tile whose border is drawn, pixels.
 const BORDERED: f64 = 8.0;
+
+/// log2 of the cells along the side of the square that one expectation stands for.
+pub const PLACE_SHIFT: u32 = TILE_SHIFT - PLACES.trailing_zeros();
+/// Tiles around one that what is expected of its fixes rests on.
+const REACH: i32 = 2;
 
 /// All that contributes to a view.
 pub enum Scene {
@@ -44,13 +50,16 @@ impl Scene {
     ///
     /// # Errors
     /// When the store refuses.
-    pub fn near(store: &dyn MapStore, view: &View) -> Result<Self, Error> {
+    pub fn near(store: &dyn MapStore, layer: Layer, view: &View) -> Result<Self, Error> {
         let mapped = store.zones();
         let mut parts = Vec::new();
         for zone in zones_of(view).into_iter().filter(|zone| mapped.contains(zone)) {
             let lattice = Lattice::new(view, &Grid::new(zone)?)?;
             let [low, high] = lattice.bounds().map(|corner| TileId::of(zone, corner));
-            let tiles = store.catalog(zone, low.x..=high.x, low.y..=high.y)?;
+            // What is expected of fixes rests on the tiles around, which may lie beyond the view.
+            let reach = if layer == Layer::Localizability { REACH } else { 0 };
+            let (x, y) = (low.x - reach..=high.x + reach, low.y - reach..=high.y + reach);
+            let tiles = store.catalog(zone, x, y)?;
             parts.push(Part { zone, lattice, tiles });
         }
         Ok(Self::Near(parts))
@@ -123,10 +132,16 @@ impl Part {
 
     fn plane(&self, layer: Layer, view: &View, fetch: Fetch) -> Result<Plane, Error> {
         let whole_tiles = layer == Layer::Coverage || view.z < CELLS_FROM;
-        let finest = if layer == Layer::Coverage { TILE_SHIFT } else { 0 };
+        let finest = match layer {
+            Layer::Coverage => TILE_SHIFT,
+            Layer::Localizability => PLACE_SHIFT,
+            _ => 0,
+        };
         let [low, high] = self.lattice.bounds();
+        let [first, last] = [low, high].map(|corner| TileId::of(self.zone, corner));
         let mut plane = Plane::new(low, high, Plane::shift_for(view.pixel_m()).max(finest));
-        for tile in &self.tiles {
+        let seen = |id: TileId| (first.x..=last.x).contains(&id.x) && (first.y..=last.y).contains(&id.y);
+        for tile in self.tiles.iter().filter(|tile| seen(tile.id)) {
             if whole_tiles {
                 let spot = Spot::of_count(tile.cells, FULL, tile.newest_day);
                 plane.add(tile.id, TILE_SHIFT, std::iter::once((0, 0, spot)));

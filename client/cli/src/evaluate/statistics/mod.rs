@@ -3,9 +3,11 @@
 //! - [`bootstrap`]: percentiles and shares with confidence intervals.
 //! - [`ccdf`]: how often is an error exceeded?
 //! - [`calibration`]: are the errors as large as was said?
+//! - [`rank`]: do two quantities rise together?
 //! - [`roc`]: does the ambiguity detector tell wrong answers from right ones?
 
 pub mod bootstrap;
 pub mod calibration;
 pub mod ccdf;
+pub mod rank;
 pub mod roc;

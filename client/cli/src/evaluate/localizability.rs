@@ -1,0 +1,186 @@
+//! What the map alone expects of a fix, beside what came of it.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use echofix_core::align::Search;
+use echofix_core::align::localizability::{Assessor, REACH_M};
+use echofix_core::align::verdict::Integrity;
+use echofix_core::window::Frame;
+use echofix_server::locating::expected_word;
+use serde_json::{Value, json};
+
+use super::cells::{self, NET};
+use super::condition::Condition;
+use super::epoch::Epoch;
+use super::groups::{of_method, usable};
+use super::map::Movers;
+use super::method::{Name, Windows};
+use super::record::Record;
+use super::simulated::is_scene;
+use super::statistics::rank;
+use super::world::World;
+
+/// Asks the map what it expects, with the buffers of one thread.
+pub struct Forecaster {
+    windows: Arc<Windows>,
+    assessor: Assessor,
+}
+
+impl Forecaster {
+    /// On the prepared maps that the methods share.
+    pub fn new(windows: &Arc<Windows>) -> Self {
+        Self { windows: Arc::clone(windows), assessor: Assessor::default() }
+    }
+
+    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true place.
+    ///
+    /// # Errors
+    /// When the world has no such map.
+    pub fn add(
+        &mut self,
+        world: &World,
+        epoch: &Epoch,
+        base: &Condition,
+        rows: &mut [Record],
+    ) -> anyhow::Result<()> {
+        let Some(truth) = world.truth.at(epoch.time_us) else { return Ok(()) };
+        let map = world.map(base.contributors, Movers::Dropped)?;
+        let (search, integrity) = (Search::default(), Integrity::default());
+        let place = [truth.x_m, truth.y_m];
+        let frame = Frame::around(map.zone(), place, search.extent_m, REACH_M);
+        let tiles = self.windows.weights(map, frame);
+        let here = self.assessor.assess(frame, &tiles, place, &search, &integrity);
+        let noise =
+            here.sigma_horizontal_m().powi(2) - 2.0 * integrity.map_variance(base.contributors as f64);
+        for row in rows.iter_mut().filter(|row| row.condition == *base) {
+            row.forecast = expected_word(here.expected(&integrity));
+            row.forecast_m = Some(noise.max(0.0).sqrt());
+            row.forecast_weakest_m = Some(here.weakest_m());
+            row.forecast_margin = Some(here.margin);
+        }
+        Ok(())
+    }
+}
+
+/// Groups of equal size that rows are sorted into by what was expected.
+const BINS: usize = 5;
+
+/// The section of the report.
+#[must_use]
+pub fn section(rows: &[Record], base: &Condition) -> String {
+    let rows = forecast(rows, base);
+    let streets: Vec<&Record> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let correlated = rank(&streets).map_or("-".to_owned(), |value| format!("{value:.2}"));
+    [
+        "### Localizability\n\nWhat the map alone expects of a fix at the true place, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
+        &by_sigma(&streets),
+        &format!("Rank correlation of expected sigma and realised error: {correlated}.\n"),
+        "Streets that are made to be mistaken, and towns: what was expected, and what came of it.\n",
+        &by_place(&rows),
+    ]
+    .join("\n")
+}
+
+/// The figures for machines.
+#[must_use]
+pub fn figures(rows: &[Record], base: &Condition) -> Value {
+    let rows = forecast(rows, base);
+    let streets: Vec<&Record> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let mistaken = |scene: bool| {
+        let of = rows.iter().filter(|row| is_scene(row.place) == scene);
+        let usable = of.clone().filter(|row| row.forecast == "USABLE").count();
+        json!({ "fixes": of.count(), "expected_usable": usable })
+    };
+    json!({ "rank_correlation": rank(&streets), "streets": mistaken(false), "scenes": mistaken(true) })
+}
+
+/// The service's rows that something was expected of.
+fn forecast<'a>(rows: &'a [Record], base: &Condition) -> Vec<&'a Record> {
+    let asked: Vec<&Record> =
+        rows.iter().filter(|row| row.condition == *base && !row.forecast.is_empty()).collect();
+    of_method(&asked, Name::Echofix.word())
+}
+
+/// Rank correlation of expected sigma and realised error, of usable fixes.
+fn rank(rows: &[&Record]) -> Option<f64> {
+    let pairs = rows.iter().filter(|row| row.usable).filter_map(|row| Some((row.forecast_m?, row.net_m?)));
+    rank::correlation(&pairs.collect::<Vec<_>>())
+}
+
+fn by_sigma(rows: &[&Record]) -> String {
+    let mut sorted: Vec<&Record> = rows.to_vec();
+    sorted.sort_by(|a, b| a.forecast_m.unwrap_or_default().total_cmp(&b.forecast_m.unwrap_or_default()));
+    let mut table = "| expected sigma, cm | fixes | realised error of usable fixes, cm | 95 % over expected sigma | usable | wrong by > 1 m |\n|---|---|---|---|---|---|\n".to_owned();
+    for bin in sorted.chunks(sorted.len().div_ceil(BINS).max(1)) {
+        let sigma = |row: &Record| row.forecast_m.unwrap_or_default();
+        let (low, high) = (sigma(bin[0]), sigma(bin[bin.len() - 1]));
+        let usable = usable(bin);
+        let (p95, middle) = (cells::figures(&usable, NET), sigma(bin[bin.len() / 2]));
+        let ratio = p95.get(1).map_or("-".to_owned(), |p95| format!("{:.1}", p95.value / middle));
+        let _ = writeln!(
+            table,
+            "| {:.1} to {:.1} | {} | {} | {ratio} | {} | {} |",
+            100.0 * low,
+            100.0 * high,
+            bin.len(),
+            cells::cell(&usable, NET, 100.0, 1),
+            cells::percent(bin, |row| row.usable),
+            cells::percent(bin, Record::wrong),
+        );
+    }
+    table
+}
+
+fn by_place(rows: &[&Record]) -> String {
+    let places: BTreeSet<&str> = rows.iter().map(|row| row.place).collect();
+    let mut table = "| place | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
+    for place in places {
+        let here: Vec<&Record> = rows.iter().copied().filter(|row| row.place == place).collect();
+        let expected = |word| cells::percent(&here, |row| row.forecast == word);
+        let trusted: Vec<&Record> = here.iter().copied().filter(|row| row.forecast == "USABLE").collect();
+        let _ = writeln!(
+            table,
+            "| {place} | {} | {} | {} | {} | {} | {} | {} |",
+            here.len(),
+            expected("USABLE"),
+            expected("AMBIGUOUS"),
+            expected("TOO_LITTLE_STRUCTURE"),
+            cells::percent(&here, |row| row.usable),
+            cells::percent(&here, Record::wrong),
+            cells::percent(&trusted, Record::wrong),
+        );
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(place: &'static str, forecast: &'static str, sigma_m: f64, error_m: f64) -> Record {
+        let (net_m, forecast_m) = (Some(error_m), Some(sigma_m));
+        let of = Record { place, forecast, forecast_m, net_m, along_m: error_m, ..Record::default() };
+        Record { usable: error_m < 1.0, method: Name::Echofix.word(), ..of }
+    }
+
+    /// Catches bins that are not sorted by what was expected, and scenes counted among towns.
+    #[test]
+    fn what_was_expected_is_set_beside_what_came() {
+        let base = Condition::default();
+        let mut rows: Vec<Record> =
+            (1..=10).map(|k| row("town", "USABLE", 0.01 * f64::from(k), 0.02 * f64::from(k))).collect();
+        rows.reverse();
+        rows.push(row("tunnel", "AMBIGUOUS", 0.9, 3.0));
+        rows.push(Record { forecast: "", ..row("town", "", 0.5, 0.1) });
+        let figures = figures(&rows, &base);
+        assert!((figures["rank_correlation"].as_f64().unwrap() - 1.0).abs() < 1e-12);
+        assert_eq!(figures["scenes"], json!({ "fixes": 1, "expected_usable": 0 }));
+        assert_eq!(figures["streets"], json!({ "fixes": 10, "expected_usable": 10 }));
+        let text = section(&rows, &base);
+        let (first, last) = (text.find("| 1.0 to 2.0 | 2 |"), text.find("| 9.0 to 10.0 | 2 |"));
+        assert!(first.is_some() && first < last, "{text}");
+        assert!(text.contains("| tunnel | 1 |"), "{text}");
+    }
+}

@@ -1,0 +1,102 @@
+//! What fixes in a tile can be expected to be.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use echofix_core::align::localizability::Localizability;
+use echofix_core::geo::{Grid, TILE_M, TileId};
+use echofix_core::pose::{Pose2, wrap_axis};
+use serde_json::{Value, json};
+
+use super::App;
+use super::error::Error;
+use crate::locating::{Expectations, PLACES, expected_word};
+
+/// `GET /api/v1/tiles/{epsg}/{x}/{y}/localizability`
+pub async fn tile(
+    State(app): State<Arc<App>>,
+    Path((epsg, x, y)): Path<(String, String, String)>,
+) -> Result<Response, Error> {
+    let id: TileId = format!("{epsg}/{x}/{y}").parse()?;
+    let expectations = Arc::clone(&app.state.expectations);
+    let body = app.places.work(move || describe(&expectations, id)).await?;
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
+}
+
+fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
+    let nothing = || Error::NotFound(format!("nothing was ever seen in tile {id} and around it"));
+    let tile = expectations.tile(id)?.ok_or_else(nothing)?;
+    let grid = Grid::new(id.zone)?;
+    let places = tile.places().map(|(column, row, expected)| {
+        let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / PLACES as f64);
+        let origin = id.origin();
+        let pose = Pose2::new(origin[0] + middle[0], origin[1] + middle[1], expected.weak_direction_rad());
+        let (at, direction_rad) = grid.pose_to_geodetic(&pose)?;
+        Ok(json!({
+            "longitude_deg": at.lon_deg,
+            "latitude_deg": at.lat_deg,
+            "expected": expected_word(expectations.verdict(expected)),
+            "points": expected.points,
+            "weakest_sigma_m": expected.weakest_m(),
+            "weakest_direction_rad": wrap_axis(direction_rad),
+            "strongest_sigma_m": expected.strongest_m(),
+            "sigma_yaw_rad": expected.sigma_yaw_rad(),
+            "margin": finite(expected),
+            "rival_m": expected.rival.map(|rival| [rival.x_m, rival.y_m]),
+        }))
+    });
+    let places = places.collect::<Result<Vec<_>, Error>>()?;
+    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": places }))
+}
+
+/// The margin; JSON knows no infinity, which stands for no rival.
+fn finite(expected: &Localizability) -> Option<f64> {
+    Some(expected.margin).filter(|margin| margin.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::http::testing::{Site, austin, json_of};
+    use echofix_core::geo::TileId;
+    use serde_json::json;
+    use std::sync::atomic::Ordering;
+
+    /// Catches what is computed anew although the map has not changed, or kept although it has.
+    #[tokio::test]
+    async fn a_tile_is_assessed_once_a_version() {
+        let cells: Vec<(u32, u32)> = (0..40).map(|k| (k * 6007 % (512 * 512), 1)).collect();
+        let site = Site::with_tiles(&[(austin(), &cells)]);
+        let path = format!("/api/v1/tiles/{}/localizability", austin());
+        let first = json_of(site.get(&path).await).await;
+        assert_eq!((&first["version"], first["places"].as_array().unwrap().len()), (&json!(1), 4));
+        let place = &first["places"][0];
+        assert_eq!(
+            (&place["expected"], place["points"].as_u64() > Some(0)),
+            (&json!("TOO_LITTLE_STRUCTURE"), true)
+        );
+        let reads = site.store.reads.load(Ordering::Relaxed);
+        assert_eq!(json_of(site.get(&path).await).await, first);
+        assert_eq!(site.store.reads.load(Ordering::Relaxed), reads, "the second answer was known");
+        site.store.touch(austin());
+        let touched = json_of(site.get(&path).await).await;
+        assert_eq!((&touched["version"], &touched["places"]), (&json!(2), &first["places"]));
+        assert!(site.store.reads.load(Ordering::Relaxed) > reads);
+    }
+
+    #[tokio::test]
+    async fn an_empty_tile_beside_a_mapped_one_has_expectations_and_a_far_one_has_none() {
+        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        for (x, status) in [(austin().x + 1, 200), (austin().x + 2, 404)] {
+            let id = TileId { x, ..austin() };
+            assert_eq!(
+                site.get(&format!("/api/v1/tiles/{id}/localizability")).await.status(),
+                status,
+                "{id}"
+            );
+        }
+        assert_eq!(site.get("/api/v1/tiles/4326/1/2/localizability").await.status(), 400);
+    }
+}
