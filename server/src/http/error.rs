@@ -47,7 +47,7 @@ impl Error {
     fn status(&self) -> StatusCode {
         match self {
             Self::BadRequest(_) => StatusCode::BAD_REQUEST,
-            Self::NotFound(_) => StatusCode::NOT_FOUND,
+            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => StatusCode::NOT_FOUND,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) | Self::Store(store::Error::Rebuilding { .. }) => {
@@ -62,7 +62,7 @@ impl Error {
         match self {
             Self::Store(store::Error::Rebuilding { .. }) => "rebuilding",
             Self::BadRequest(_) => "bad_request",
-            Self::NotFound(_) => "not_found",
+            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => "not_found",
             Self::MethodNotAllowed => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",

@@ -31,7 +31,7 @@ pub fn austin() -> TileId {
 }
 
 fn serving(epoch: u64) -> Progress {
-    Progress { state: State::Serving, epoch, journaled: epoch, stopped: false }
+    Progress { state: State::Serving, epoch, journaled: epoch, building: None, stopped: false }
 }
 
 /// A map in memory that is only read.
