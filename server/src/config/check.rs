@@ -25,6 +25,11 @@ impl Config {
                 mapping.max_speed_mps > mapping.min_speed_mps,
                 "must exceed min_speed_mps",
             ),
+            (
+                "mapping.max_age_days",
+                mapping.retention_days == 0 || mapping.max_age_days < mapping.retention_days,
+                "must be less than mapping.retention_days: an upload sent again after that would count twice",
+            ),
             ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
             ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
             ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),

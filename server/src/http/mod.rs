@@ -4,6 +4,8 @@
 //! - `limits`: what one request or a crowd may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
+//! - `operations`: the map's history, and what operators decide about it.
+//! - `files`: regions out and in, backups.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
@@ -14,10 +16,12 @@ mod catalog;
 mod console;
 mod day;
 mod error;
+mod files;
 mod layers;
 mod limits;
 mod live;
 mod openapi;
+mod operations;
 mod probes;
 mod raster;
 #[cfg(test)]
@@ -27,13 +31,13 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::middleware::from_fn;
-use axum::routing::{MethodRouter, get};
+use axum::routing::{MethodRouter, get, post};
 use tokio::sync::watch;
 
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::metrics::Metrics;
-use crate::store::MapStore;
+use crate::store::{MapStore, Operations};
 use error::Error;
 
 /// What the routes answer from.
@@ -41,6 +45,8 @@ use error::Error;
 pub struct HttpState {
     /// The map.
     pub store: Arc<dyn MapStore>,
+    /// What operators may do with it.
+    pub operations: Arc<dyn Operations>,
     /// The last fixes and uploads.
     pub feed: Arc<Feed>,
     /// What the service counts.
@@ -71,7 +77,8 @@ pub fn router(state: HttpState) -> Router {
         .with_state(app)
 }
 
-/// The paths of all routes, parameters in braces. Every route answers GET and HEAD, no other method.
+/// The paths of all routes, parameters in braces. Those that change the map answer POST, the others GET
+/// and HEAD.
 #[must_use]
 pub fn paths() -> Vec<&'static str> {
     routes().into_iter().map(|(path, _)| path).collect()
@@ -85,6 +92,15 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/tiles/{layer}", get(layers::tilejson)),
         ("/tiles/{layer}/{z}/{x}/{y}", get(layers::tile)),
         ("/api/v1/map", get(catalog::map)),
+        ("/api/v1/map/history", get(operations::history)),
+        ("/api/v1/map/diff", get(operations::diff)),
+        ("/api/v1/map/rollback", post(operations::rollback)),
+        ("/api/v1/map/revoke", post(operations::revoke)),
+        ("/api/v1/map/settle", post(operations::settle)),
+        ("/api/v1/map/verify", get(operations::verify)),
+        ("/api/v1/map/export", get(files::export)),
+        ("/api/v1/map/import", post(files::import)),
+        ("/api/v1/map/backup", get(files::backup)),
         ("/api/v1/tiles/at", get(catalog::tile_at)),
         ("/api/v1/tiles/{epsg}/{x}/{y}", get(catalog::tile)),
         ("/api/v1/fixes", get(live::fixes)),

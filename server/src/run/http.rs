@@ -16,11 +16,17 @@ use crate::http::{HttpState, router};
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::Receiver<bool>) {
-    let Shared { config, store, feed, metrics, health } = shared;
+    let Shared { config, store, operations, feed, metrics, health } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
-    let routes =
-        TowerToHyperService::new(router(HttpState { store, feed, metrics, health, ending: ending.clone() }));
+    let routes = TowerToHyperService::new(router(HttpState {
+        store,
+        operations,
+        feed,
+        metrics,
+        health,
+        ending: ending.clone(),
+    }));
     let graceful = GracefulShutdown::new();
     let mut connections = Door::new(listener, limits.connections, limits.handshake()).open();
     let ended = ended(ending);

@@ -3,12 +3,14 @@
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
+//! - [`retention`]: old uploads are made final.
 //! - [`signals`]: when to end.
 
 mod connections;
 mod follow;
 mod grpc;
 mod http;
+mod retention;
 mod signals;
 
 use std::future::Future;
@@ -26,7 +28,7 @@ use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::metrics::Metrics;
-use crate::store::{self, EmbeddedStore, MapStore, Options};
+use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
 pub use signals::signalled;
 
 /// Why the service cannot run.
@@ -74,6 +76,7 @@ pub enum Error {
 struct Shared {
     config: Arc<Config>,
     store: Arc<dyn MapStore>,
+    operations: Arc<dyn Operations>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     health: Arc<Health>,
@@ -113,9 +116,11 @@ impl Server {
         };
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
+        let store = Arc::new(store);
         let shared = Shared {
             config: Arc::new(config),
-            store: Arc::new(store),
+            operations: store.clone(),
+            store,
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
@@ -145,6 +150,7 @@ impl Server {
         let grace = Duration::from_secs(shared.config.limits.shutdown_s);
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
+        let retention = tokio::spawn(retention::keep(shared.clone()));
         let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
         let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -154,6 +160,7 @@ impl Server {
         }
         tracing::info!("draining");
         follower.abort();
+        retention.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");

@@ -12,6 +12,7 @@
 //! leaves only deletions to be done.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use echofix_core::tile::Ledger;
@@ -82,6 +83,7 @@ pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
 pub(super) fn forget_settled(shared: &Shared, base: Base) -> Result<(), Error> {
     let mut current = shared.base_mut();
     let last = base.last;
+    shared.settled_uploads.store(base.uploads, Ordering::Relaxed);
     *current = base;
     shared.index.forget_up_to(last);
     shared.journal.delete_up_to(last)?;

@@ -1,8 +1,10 @@
 //! The storage engine of one machine: the journal in files, the tiles in sled.
 
+use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
@@ -20,8 +22,8 @@ use super::journal::{Journal, Written};
 use super::manifest::Manifest;
 use super::shared::Shared;
 use super::{
-    Error, MapStore, Operations, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload, build,
-    clock, io_error,
+    Error, Event, Imported, MapStore, Operations, Progress, Receipt, Region, Snapshot, State, StoredTile,
+    TileInfo, Totals, Upload, Verified, build, clock, io_error,
 };
 
 /// Where and how an [`EmbeddedStore`] keeps its data.
@@ -201,7 +203,8 @@ impl MapStore for EmbeddedStore {
     }
 
     fn totals(&self) -> Totals {
-        let uploads = self.shared.base().uploads + self.shared.index.uploads();
+        let settled = self.shared.settled_uploads.load(Ordering::Relaxed);
+        let uploads = settled + self.shared.index.uploads();
         let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads));
         totals.unwrap_or(Totals { uploads, ..Totals::default() })
     }
@@ -247,6 +250,30 @@ impl Operations for EmbeddedStore {
             return Ok(None);
         }
         self.control(Action::Settle(last)).map(Some)
+    }
+
+    fn history(&self, limit: usize) -> Vec<Event> {
+        self.events(limit)
+    }
+
+    fn at(&self, epoch: u64) -> Result<Snapshot, Error> {
+        self.snapshot(epoch)
+    }
+
+    fn export(&self, region: &Region, out: &mut dyn Write) -> Result<u64, Error> {
+        self.export_region(region, out)
+    }
+
+    fn import(&self, file: &mut dyn Read) -> Result<Imported, Error> {
+        self.import_region(file)
+    }
+
+    fn backup(&self, out: &mut dyn Write) -> Result<u64, Error> {
+        self.write_backup(out)
+    }
+
+    fn verify(&self, replay: bool) -> Result<Verified, Error> {
+        self.verified(replay)
     }
 }
 

@@ -155,6 +155,11 @@ impl Index {
         self.lock().newest()
     }
 
+    /// Where the newest record lies.
+    pub(super) fn newest_at(&self) -> Option<Position> {
+        self.lock().records.last().map(|noted| noted.at)
+    }
+
     /// Number of the record before the first.
     pub(super) fn before(&self) -> u64 {
         self.lock().before

@@ -10,11 +10,13 @@
 //!   lock, key), `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
 //!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
 //!   `generation` and `catalog`, `canvas` and `fold` (records to tiles), `build` (new generations),
-//!   `manifest` (which one is served), `folder` (the thread that does it).
+//!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
+//!   `region` (export and import), `backup`, `verify`.
 //!
 //! Every state of the map is a function of the base and the journal's records up to the epoch, without what
 //! the controls among them exclude. Generations of tiles are that function's values, kept.
 
+mod backup;
 mod base;
 mod build;
 mod canvas;
@@ -27,23 +29,29 @@ mod exclusion;
 mod fold;
 mod folder;
 mod generation;
+mod history;
 mod index;
 mod journal;
 mod manifest;
 mod merge;
 mod operations;
 mod record;
+mod region;
 mod shared;
 mod stream;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 mod tiles;
 mod varint;
+mod verify;
 
 pub use embedded::{EmbeddedStore, Options};
+pub use history::{Decision, Event, Snapshot, TileDiff, What};
 pub use operations::Operations;
+pub use region::{Imported, Region};
+pub use verify::Verified;
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -91,6 +99,9 @@ pub enum Error {
     /// There is nothing under this name.
     #[error("{0}")]
     Unknown(String),
+    /// What was given cannot be used.
+    #[error("{0}")]
+    Unusable(String),
     /// The store stopped accepting writes after a failure that may have lost one.
     #[error("the journal stopped after a write failed: {0}; restart the service once the disk is sound")]
     Stopped(String),

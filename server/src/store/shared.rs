@@ -1,5 +1,6 @@
 //! What the store and its folding thread share.
 
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use tokio::sync::watch;
@@ -22,6 +23,8 @@ pub(super) struct Shared {
     served: RwLock<Option<Arc<Generation>>>,
     /// Held for writing while settled records go.
     base: RwLock<Base>,
+    /// Uploads in the base.
+    pub(super) settled_uploads: AtomicU64,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
     /// Where a test lets the building of a generation fail.
@@ -47,6 +50,7 @@ impl Shared {
             index,
             progress,
             served: RwLock::new(served),
+            settled_uploads: AtomicU64::new(base.uploads),
             base: RwLock::new(base),
             deciding: Mutex::default(),
             #[cfg(test)]

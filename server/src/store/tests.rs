@@ -11,6 +11,8 @@ use super::testing::{some_uploads, uploads};
 use super::*;
 
 mod controls;
+mod copies;
+mod past;
 mod settling;
 
 fn options(dir: &Path) -> Options {

@@ -20,6 +20,7 @@ use std::thread::JoinHandle;
 
 use uuid::Uuid;
 
+use super::backup::Part;
 use super::entry::Note;
 use super::{Error, io_error};
 use medium::Segment;
@@ -188,6 +189,28 @@ impl Journal {
                 .map_err(io_error("deleting a settled segment"))?;
         }
         File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
+    }
+
+    /// The journal's files up to a record that is on disk; all of them, as they are, without one.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(super) fn parts(&self, last: Option<Position>) -> Result<Vec<Part>, Error> {
+        let opening = "opening a journal segment";
+        let mut parts = Vec::new();
+        for first in segments(&self.dir)? {
+            let path = segment::path(&self.dir, first);
+            let file = File::open(&path).map_err(io_error(opening))?;
+            let whole = file.metadata().map_err(io_error(opening))?.len();
+            let length = match last {
+                Some(last) if first > last.segment => continue,
+                Some(last) if first == last.segment => u64::from(last.offset) + u64::from(last.length),
+                _ => whole,
+            };
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+            parts.push(Part { name: format!("journal/{}", name.unwrap_or_default()), file, length });
+        }
+        Ok(parts)
     }
 
     /// Payloads of records, read with as few opened files as their order allows.
