@@ -17,7 +17,7 @@ const MAX_ADDRESS: usize = 1024;
 /// Time for an answer to begin.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 /// Time for an operation on the whole map to be done: it may fold the journal again.
-const OPERATE_WITHIN: Duration = Duration::from_secs(3600);
+const OPERATE_WITHIN: Duration = Duration::from_hours(1);
 /// Operations on the whole map at once.
 const OPERATIONS: usize = 2;
 /// Requests that may wait for a place to render.

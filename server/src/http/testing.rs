@@ -259,7 +259,9 @@ impl Kept {
         let options = Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
-        uploads.iter().for_each(|upload| drop(store.commit(upload.clone()).unwrap()));
+        for upload in &uploads {
+            store.commit(upload.clone()).unwrap();
+        }
         let router = router(HttpState {
             store: store.clone(),
             operations: store.clone(),

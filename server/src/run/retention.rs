@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use super::Shared;
 
 /// How often the day is looked at.
-const TICK: Duration = Duration::from_secs(3600);
+const TICK: Duration = Duration::from_hours(1);
 const DAY_S: u64 = 86_400;
 
 /// Settles for as long as it is polled.

@@ -53,7 +53,7 @@ impl EmbeddedStore {
         let dir = DataDir::open(&options.data_dir)?;
         let index = Arc::new(Index::default());
         let found = Journal::recover(&dir.journal(), |written, payload| {
-            index.note(entry::note(payload).ok_or_else(|| unreadable(written.number))?, written);
+            index.note(&entry::note(payload).ok_or_else(|| unreadable(written.number))?, written);
             Ok(())
         })?;
         index.begin_after(found.end());
@@ -76,7 +76,7 @@ impl EmbeddedStore {
             move |note: Note, written: Written| {
                 // Noting wakes the folding thread: it must not be ahead of what is told.
                 progress.send_modify(|progress| progress.journaled = written.number);
-                index.note(note, written);
+                index.note(&note, written);
             }
         };
         let journal_id = found.id();

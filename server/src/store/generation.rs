@@ -114,7 +114,9 @@ impl Generation {
         let digest = self.catalog().digest_with(&infos);
         self.tiles.put_all(values, folded, digest)?;
         let mut catalog = self.catalog_mut();
-        infos.into_iter().for_each(|info| catalog.put(info));
+        for info in infos {
+            catalog.put(info);
+        }
         Ok(())
     }
 

@@ -125,7 +125,7 @@ impl Index {
     }
 
     /// Notes a record that is in the journal. They come in order of their numbers.
-    pub(super) fn note(&self, note: Note, written: Written) {
+    pub(super) fn note(&self, note: &Note, written: Written) {
         let mut state = self.lock();
         if state.records.is_empty() {
             state.before = written.number - 1;

@@ -71,10 +71,10 @@ impl Model {
     }
 
     /// A control was written.
-    fn take_back(&mut self, epoch: Result<u64, Error>, gone: impl Fn(u64, &Upload) -> bool) {
+    fn take_back(&mut self, epoch: &Result<u64, Error>, gone: impl Fn(u64, &Upload) -> bool) {
         if let Ok(epoch) = epoch {
             self.records += 1;
-            assert_eq!(epoch, self.records);
+            assert_eq!(*epoch, self.records);
             self.left.retain(|(number, upload)| !gone(*number, upload));
         }
     }
@@ -116,15 +116,15 @@ proptest! {
                     let hash = store.contributor(&name);
                     let epoch = store.revoke_contributor(&name);
                     prop_assert_eq!(epoch.is_ok(), model.sent.iter().any(|u| u.pass.contributor == hash));
-                    model.take_back(epoch, |_, upload| upload.pass.contributor == hash);
+                    model.take_back(&epoch, |_, upload| upload.pass.contributor == hash);
                 }
                 Event::RevokeUpload(index) if !model.sent.is_empty() => {
                     let id = index.get(&model.sent).id;
-                    model.take_back(Ok(store.revoke_upload(id).unwrap()), |_, upload| upload.id == id);
+                    model.take_back(&Ok(store.revoke_upload(id).unwrap()), |_, upload| upload.id == id);
                 }
                 Event::Rollback(index) => {
                     let epoch = index.index(model.records as usize + 1) as u64;
-                    model.take_back(Ok(store.rollback(epoch).unwrap()), |number, _| number > epoch);
+                    model.take_back(&Ok(store.rollback(epoch).unwrap()), |number, _| number > epoch);
                 }
                 Event::Restart => store = restarted(store, dir.path(), || {}),
                 Event::LoseTiles => {
@@ -165,7 +165,9 @@ fn a_revoked_contributor_counts_again_with_what_it_sends_later() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let mut uploads = by_cars(&store, some_uploads(10));
-    uploads.iter_mut().for_each(|upload| upload.pass.contributor = store.contributor("car-1"));
+    for upload in &mut uploads {
+        upload.pass.contributor = store.contributor("car-1");
+    }
     commit_all(&store, &uploads[..6]);
     assert_eq!(store.revoke_contributor("car-1").unwrap(), 7);
     commit_all(&store, &uploads[6..]);

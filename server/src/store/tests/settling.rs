@@ -153,7 +153,9 @@ proptest! {
         for (day, (uploads, then)) in (200..).zip(days) {
             // No pass has uploads on both sides of a settlement: its votes would count on either.
             let mut uploads = distinct(uploads);
-            uploads.iter_mut().for_each(|upload| upload.pass.day = day);
+            for upload in &mut uploads {
+                upload.pass.day = day;
+            }
             commit_on(&store, day, &uploads);
             left.extend(uploads);
             match then {
