@@ -98,7 +98,7 @@ async fn a_deleted_index_is_rebuilt_from_the_journal_to_the_same_bytes() {
     let before = map(&service).await;
     service.ask_to_end();
     assert!(service.ended().success());
-    fs::remove_dir_all(service.data_dir().join("tiles")).expect("the map's folder is there");
+    fs::remove_dir_all(service.data_dir().join("tiles-1")).expect("the map's folder is there");
     service.start_again();
     assert_eq!(map(&service).await, before);
     assert!(send(&service, &uploads[0]).await.duplicate);

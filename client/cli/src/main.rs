@@ -51,7 +51,7 @@ enum Command {
     Simulate(commands::simulate::Args),
     /// Turn foreign radar data into a drive log.
     Import(commands::import::Args),
-    /// Upload a drive log to the map.
+    /// Upload a drive log to the map; see its history, roll it back, export, import, back it up.
     Map(commands::map::Args),
     /// Replay a drive log against the service, and compare its answers with the truth.
     Localize(commands::localize::Args),

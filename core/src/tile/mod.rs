@@ -8,6 +8,7 @@
 mod codec;
 mod fold;
 mod ledger;
+mod merge;
 mod published;
 
 pub use codec::{DecodeError, decode, decode_ledger, encode, encode_ledger};

@@ -1,6 +1,7 @@
 //! Values that would make no sense.
 
 use super::{Config, Error};
+use crate::mapping::MappingConfig;
 
 impl Config {
     pub(super) fn check(&self) -> Result<(), Error> {
@@ -25,6 +26,7 @@ impl Config {
                 mapping.max_speed_mps > mapping.min_speed_mps,
                 "must exceed min_speed_mps",
             ),
+            ages(mapping),
             ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
             ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
             ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),
@@ -102,4 +104,11 @@ impl Config {
             None => Ok(()),
         }
     }
+}
+
+/// Ids are forgotten with what is settled: what comes again must be refused for its age by then.
+fn ages(mapping: &MappingConfig) -> (&'static str, bool, &'static str) {
+    let holds = mapping.retention_days == 0 || mapping.max_age_days < mapping.retention_days;
+    let rule = "must be less than mapping.retention_days: an upload sent again after that would count twice";
+    ("mapping.max_age_days", holds, rule)
 }

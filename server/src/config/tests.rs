@@ -24,6 +24,13 @@ fn the_shipped_file_is_the_default_and_sets_every_key() {
 }
 
 #[test]
+fn uploads_may_be_kept_for_ever_or_longer_than_they_are_taken() {
+    for mapping in ["max_age_days = 30\nretention_days = 31", "max_age_days = 365\nretention_days = 0"] {
+        assert!(load(Some(&format!("[mapping]\n{mapping}")), &[], &[]).is_ok(), "{mapping}");
+    }
+}
+
+#[test]
 fn later_layers_win() {
     let file = Some("[http]\nlisten = \"0.0.0.0:1\"\n[mapping]\nmax_range_m = 60\nuploads_at_once = 2");
     let env = [
@@ -42,6 +49,8 @@ fn mistakes_are_told_with_their_place_and_a_hint() {
     let told = |file: &str| load(Some(file), &[], &[]).unwrap_err().to_string();
     let typo = told("[mapping]\nmax_rang_m = 60");
     assert!(typo.contains("my.toml") && typo.contains("did you mean `mapping.max_range_m`?"), "{typo}");
+    let ages = "[mapping]\nmax_age_days = 30\nretention_days = 30";
+    assert!(told(ages).contains("must be less than mapping.retention_days"), "{}", told(ages));
     assert!(told("[maping]\nmax_range_m = 60").contains("did you mean `mapping.max_range_m`?"));
     assert!(told("listen = 3").contains("unknown key `listen`"));
     assert!(told("[http]\nlisten = 3").contains("must be a string"));

@@ -53,7 +53,15 @@ pub fn told(progress: &Progress) -> Value {
         State::Serving => "serving",
         State::Stalled => "stalled",
     };
-    json!({ "state": state, "epoch": progress.epoch, "journaled": progress.journaled })
+    let building = progress
+        .building
+        .map(|building| json!({ "folded": building.folded, "of": building.of, "control": building.control }));
+    json!({
+        "state": state,
+        "epoch": progress.epoch,
+        "journaled": progress.journaled,
+        "building": building,
+    })
 }
 
 /// `?lat=&lon=`

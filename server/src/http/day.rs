@@ -14,9 +14,20 @@ pub fn iso_date(day: u16) -> String {
     format!("{year:04}-{month:02}-{day_of_month:02}")
 }
 
+/// The UTC day, counted from the Unix epoch, of an ISO date; `None` when there is no such day.
+pub fn parse_date(date: &str) -> Option<u16> {
+    // Dates of four-digit years sort as their days do.
+    let (mut low, mut high) = (0_u32, u32::from(u16::MAX) + 1);
+    while low < high {
+        let middle = u32::midpoint(low, high);
+        if iso_date(middle as u16).as_str() < date { low = middle + 1 } else { high = middle }
+    }
+    u16::try_from(low).ok().filter(|day| iso_date(*day) == date)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::iso_date;
+    use super::{iso_date, parse_date};
 
     #[test]
     fn days_are_dates() {
@@ -25,5 +36,15 @@ mod tests {
         assert_eq!(iso_date(11_017), "2000-03-01");
         assert_eq!(iso_date(20_088), "2024-12-31");
         assert_eq!(iso_date(u16::MAX), "2149-06-06");
+    }
+
+    #[test]
+    fn dates_are_days() {
+        for day in (0..=u16::MAX).step_by(7) {
+            assert_eq!(parse_date(&iso_date(day)), Some(day));
+        }
+        for date in ["", "2026-02-30", "2026-2-3", "1969-12-31", "2149-06-07", "9999-01-01", "x"] {
+            assert_eq!(parse_date(date), None, "{date}");
+        }
     }
 }

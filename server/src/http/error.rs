@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
+use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
@@ -20,7 +20,7 @@ pub enum Error {
     #[error("{0}")]
     NotFound(String),
     /// The route exists, the method does not.
-    #[error("only GET and HEAD are served here")]
+    #[error("this method is not served here; see /openapi.json")]
     MethodNotAllowed,
     /// The address is longer than any of ours.
     #[error("the address is longer than {limit} bytes")]
@@ -48,8 +48,8 @@ pub enum Error {
 impl Error {
     fn status(&self) -> StatusCode {
         match self {
-            Self::BadRequest(_) => StatusCode::BAD_REQUEST,
-            Self::NotFound(_) => StatusCode::NOT_FOUND,
+            Self::BadRequest(_) | Self::Store(store::Error::Unusable(_)) => StatusCode::BAD_REQUEST,
+            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => StatusCode::NOT_FOUND,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
@@ -62,8 +62,8 @@ impl Error {
     fn code(&self) -> &'static str {
         match self {
             Self::Store(error) if is_rebuilding(error) => "rebuilding",
-            Self::BadRequest(_) => "bad_request",
-            Self::NotFound(_) => "not_found",
+            Self::BadRequest(_) | Self::Store(store::Error::Unusable(_)) => "bad_request",
+            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => "not_found",
             Self::MethodNotAllowed => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
@@ -84,15 +84,10 @@ impl IntoResponse for Error {
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-        match status {
-            StatusCode::SERVICE_UNAVAILABLE => {
-                headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"))
-            }
-            StatusCode::METHOD_NOT_ALLOWED => {
-                headers.insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"))
-            }
-            _ => None,
-        };
+        // Which methods a route has, the router says itself.
+        if status == StatusCode::SERVICE_UNAVAILABLE {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+        }
         response
     }
 }
@@ -121,6 +116,12 @@ impl From<echofix_core::geo::Error> for Error {
 
 impl From<QueryRejection> for Error {
     fn from(rejection: QueryRejection) -> Self {
+        Self::BadRequest(rejection.body_text())
+    }
+}
+
+impl From<JsonRejection> for Error {
+    fn from(rejection: JsonRejection) -> Self {
         Self::BadRequest(rejection.body_text())
     }
 }

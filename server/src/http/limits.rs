@@ -16,6 +16,10 @@ use super::error::Error;
 const MAX_ADDRESS: usize = 1024;
 /// Time for an answer to begin.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+/// Time for an operation on the whole map to be done: it may fold the journal again.
+const OPERATE_WITHIN: Duration = Duration::from_hours(1);
+/// Operations on the whole map at once.
+const OPERATIONS: usize = 2;
 /// Requests that may wait for a place to render.
 const WAITING: usize = 64;
 /// Time a request waits for a place to render.
@@ -30,8 +34,10 @@ pub async fn guard(request: Request, next: Next) -> Response {
     if length > MAX_ADDRESS {
         return Error::AddressTooLong { limit: MAX_ADDRESS }.into_response();
     }
-    let late = Error::TimedOut { seconds: ANSWER_WITHIN.as_secs() };
-    let answer = timeout(ANSWER_WITHIN, next.run(request)).await;
+    let operation = uri.path().starts_with("/api/v1/map/");
+    let within = if operation { OPERATE_WITHIN } else { ANSWER_WITHIN };
+    let late = Error::TimedOut { seconds: within.as_secs() };
+    let answer = timeout(within, next.run(request)).await;
     with_safe_headers(answer.unwrap_or_else(|_| late.into_response()))
 }
 
@@ -53,6 +59,7 @@ pub struct Places {
     waiting: Arc<Semaphore>,
     working: Arc<Semaphore>,
     listening: Arc<Semaphore>,
+    operating: Arc<Semaphore>,
 }
 
 impl Default for Places {
@@ -66,7 +73,12 @@ impl Places {
     /// So many may wait, work and listen at once.
     pub fn new(waiting: usize, working: usize, listening: usize) -> Self {
         let semaphore = |n| Arc::new(Semaphore::new(n));
-        Self { waiting: semaphore(waiting), working: semaphore(working), listening: semaphore(listening) }
+        Self {
+            waiting: semaphore(waiting),
+            working: semaphore(working),
+            listening: semaphore(listening),
+            operating: semaphore(OPERATIONS),
+        }
     }
 
     /// Runs blocking work once there is a place for it.
@@ -87,6 +99,15 @@ impl Places {
             work()
         })
         .await?
+    }
+
+    /// A place for an operation on the whole map, given back when dropped.
+    ///
+    /// # Errors
+    /// When all are taken.
+    pub fn operate(&self) -> Result<OwnedSemaphorePermit, Error> {
+        const FULL: Error = Error::Saturated("other operations on the map are under way");
+        Arc::clone(&self.operating).try_acquire_owned().map_err(|_| FULL)
     }
 
     /// A place to listen from, given back when dropped.

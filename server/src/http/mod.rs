@@ -5,6 +5,8 @@
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
 //! - `expectation`: what fixes in a tile can be expected to be.
+//! - `operations`: the map's history, and what operators decide about it.
+//! - `files`: regions out and in, backups.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
@@ -16,10 +18,12 @@ mod console;
 mod day;
 mod error;
 mod expectation;
+mod files;
 mod layers;
 mod limits;
 mod live;
 mod openapi;
+mod operations;
 mod probes;
 mod raster;
 #[cfg(test)]
@@ -29,14 +33,14 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::middleware::from_fn;
-use axum::routing::{MethodRouter, get};
+use axum::routing::{MethodRouter, get, post};
 use tokio::sync::watch;
 
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
-use crate::store::MapStore;
+use crate::store::{MapStore, Operations};
 use error::Error;
 
 /// What the routes answer from.
@@ -46,6 +50,8 @@ pub struct HttpState {
     pub store: Arc<dyn MapStore>,
     /// What fixes can be expected to be.
     pub expectations: Arc<Expectations>,
+    /// What operators may do with it.
+    pub operations: Arc<dyn Operations>,
     /// The last fixes and uploads.
     pub feed: Arc<Feed>,
     /// What the service counts.
@@ -77,7 +83,8 @@ pub fn router(state: HttpState) -> Router {
         .with_state(app)
 }
 
-/// The paths of all routes, parameters in braces. Every route answers GET and HEAD, no other method.
+/// The paths of all routes, parameters in braces. Those that change the map answer POST, the others GET
+/// and HEAD.
 #[must_use]
 pub fn paths() -> Vec<&'static str> {
     routes().into_iter().map(|(path, _)| path).collect()
@@ -91,6 +98,15 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/tiles/{layer}", get(layers::tilejson)),
         ("/tiles/{layer}/{z}/{x}/{y}", get(layers::tile)),
         ("/api/v1/map", get(catalog::map)),
+        ("/api/v1/map/history", get(operations::history)),
+        ("/api/v1/map/diff", get(operations::diff)),
+        ("/api/v1/map/rollback", post(operations::rollback)),
+        ("/api/v1/map/revoke", post(operations::revoke)),
+        ("/api/v1/map/settle", post(operations::settle)),
+        ("/api/v1/map/verify", get(operations::verify)),
+        ("/api/v1/map/export", get(files::export)),
+        ("/api/v1/map/import", post(files::import)),
+        ("/api/v1/map/backup", get(files::backup)),
         ("/api/v1/tiles/at", get(catalog::tile_at)),
         ("/api/v1/tiles/{epsg}/{x}/{y}", get(catalog::tile)),
         ("/api/v1/tiles/{epsg}/{x}/{y}/localizability", get(expectation::tile)),

@@ -1,7 +1,7 @@
 //! A small map and a site that serves it, for the tests of this room.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Read, Write};
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -16,6 +16,7 @@ use echofix_core::align::verdict::Integrity;
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Tile, encode};
+use tempfile::TempDir;
 use tokio::sync::watch;
 use tower::ServiceExt;
 use uuid::Uuid;
@@ -23,7 +24,11 @@ use uuid::Uuid;
 use super::{HttpState, router};
 use crate::feed::{FixEvent, UploadEvent};
 use crate::locating::Expectations;
-use crate::store::{Error, MapStore, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload};
+use crate::store::testing::some_uploads;
+use crate::store::{
+    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Progress, Receipt, Region,
+    Snapshot, State, StoredTile, TileInfo, Totals, Upload, Verified,
+};
 
 /// 2024-10-04
 pub const DAY: u16 = 20_000;
@@ -34,7 +39,7 @@ pub fn austin() -> TileId {
 }
 
 fn serving(epoch: u64) -> Progress {
-    Progress { state: State::Serving, epoch, journaled: epoch, stopped: false }
+    Progress { state: State::Serving, epoch, journaled: epoch, building: None, stopped: false }
 }
 
 /// A map in memory that is only read.
@@ -113,7 +118,7 @@ impl MapStore for FakeStore {
     }
 
     fn commit(&self, _: Upload) -> Result<Receipt, Error> {
-        Err(Error::Stopped("this map is only read".to_owned()))
+        Err(only_read())
     }
 
     fn counted(&self, _: Uuid) -> Result<Option<Receipt>, Error> {
@@ -161,6 +166,52 @@ impl MapStore for FakeStore {
     }
 }
 
+impl Operations for FakeStore {
+    fn revoke_contributor(&self, _: &str) -> Result<u64, Error> {
+        Err(only_read())
+    }
+
+    fn revoke_upload(&self, _: Uuid) -> Result<u64, Error> {
+        Err(only_read())
+    }
+
+    fn rollback(&self, _: u64) -> Result<u64, Error> {
+        Err(only_read())
+    }
+
+    fn settle(&self, _: u16) -> Result<Option<u64>, Error> {
+        Err(only_read())
+    }
+
+    fn history(&self, _: usize) -> Vec<Event> {
+        Vec::new()
+    }
+
+    fn at(&self, _: u64) -> Result<Snapshot, Error> {
+        Err(only_read())
+    }
+
+    fn export(&self, _: &Region, _: &mut dyn Write) -> Result<u64, Error> {
+        Err(only_read())
+    }
+
+    fn import(&self, _: &mut dyn Read) -> Result<Imported, Error> {
+        Err(only_read())
+    }
+
+    fn backup(&self, _: &mut dyn Write) -> Result<u64, Error> {
+        Err(only_read())
+    }
+
+    fn verify(&self, _: bool) -> Result<Verified, Error> {
+        Err(only_read())
+    }
+}
+
+fn only_read() -> Error {
+    Error::Stopped("this map is only read".to_owned())
+}
+
 /// The routes over a small map.
 pub struct Site {
     pub store: Arc<FakeStore>,
@@ -188,6 +239,7 @@ impl Site {
                 Integrity::default(),
             )),
             store: known,
+            operations: Arc::clone(&store) as Arc<dyn Operations>,
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
@@ -204,6 +256,59 @@ impl Site {
         let request = Request::builder().method(method).uri(path);
         let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
         self.router.clone().oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
+    }
+}
+
+/// The routes over a store on disk.
+pub struct Kept {
+    store: Arc<EmbeddedStore>,
+    pub uploads: Vec<Upload>,
+    router: Router,
+    _dir: TempDir,
+}
+
+impl Kept {
+    /// A store that was given so many uploads and shows them.
+    pub async fn with_uploads(count: usize) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let data_dir = dir.path().to_owned();
+        let options = Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
+        let store = Arc::new(EmbeddedStore::open(&options).unwrap());
+        let uploads = some_uploads(count);
+        for upload in &uploads {
+            store.commit(upload.clone()).unwrap();
+        }
+        let router = router(HttpState {
+            store: store.clone(),
+            operations: store.clone(),
+            feed: Arc::default(),
+            metrics: Arc::default(),
+            health: Arc::default(),
+            ending: watch::Sender::new(false).subscribe(),
+        });
+        let kept = Self { store, uploads, router, _dir: dir };
+        kept.caught_up().await;
+        kept
+    }
+
+    /// Waits until the map shows all that was decided.
+    pub async fn caught_up(&self) {
+        let done = |p: &Progress| p.state == State::Serving && p.epoch == p.journaled && p.building.is_none();
+        self.store.progress().wait_for(done).await.unwrap();
+    }
+
+    pub async fn get(&self, path: &str) -> Response {
+        let request = Request::builder().uri(path).body(Body::empty()).unwrap();
+        self.router.clone().oneshot(request).await.unwrap()
+    }
+
+    pub async fn post(&self, path: &str, body: &serde_json::Value) -> Response {
+        self.send(path, "application/json", body.to_string().into_bytes()).await
+    }
+
+    pub async fn send(&self, path: &str, kind: &str, body: Vec<u8>) -> Response {
+        let request = Request::builder().method(Method::POST).uri(path).header("content-type", kind);
+        self.router.clone().oneshot(request.body(Body::from(body)).unwrap()).await.unwrap()
     }
 }
 

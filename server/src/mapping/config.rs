@@ -25,6 +25,9 @@ pub struct MappingConfig {
     pub max_speed_mps: f64,
     /// Older uploads are refused, days; 0 takes any age.
     pub max_age_days: u16,
+    /// Uploads stay revocable, and their contributors' hashes known, for this long after they came, days;
+    /// 0 keeps them for ever.
+    pub retention_days: u16,
     /// Bytes of one upload, at most.
     pub max_upload_bytes: usize,
     /// Detections of one upload, at most.
@@ -48,6 +51,7 @@ impl Default for MappingConfig {
             max_pose_gap_s: 1.0,
             max_speed_mps: 70.0,
             max_age_days: 0,
+            retention_days: 90,
             max_upload_bytes: 16 << 20,
             max_upload_detections: 500_000,
             max_upload_tiles: 4_096,

@@ -21,9 +21,9 @@ pub(super) async fn follow(shared: Shared) {
     }
 }
 
-/// Why requests are not welcome.
+/// Why requests are not welcome. A new generation that is made beside a sound one hinders nobody.
 fn hindrance(progress: &Progress) -> Option<String> {
-    let Progress { state, epoch, journaled, stopped } = *progress;
+    let Progress { state, epoch, journaled, stopped, .. } = *progress;
     if stopped {
         return Some("the journal stopped after a write failed; restart once the disk is sound".to_owned());
     }
@@ -39,11 +39,20 @@ fn hindrance(progress: &Progress) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::Building;
 
     #[test]
     fn a_store_that_does_not_go_on_is_not_ready() {
-        let told = |state, stopped| hindrance(&Progress { state, epoch: 3, journaled: 5, stopped });
-        assert_eq!(told(State::Serving, false), None);
+        let told = |state, stopped| {
+            hindrance(&Progress {
+                state,
+                epoch: 3,
+                journaled: 5,
+                building: Some(Building { folded: 1, of: 5, control: 4 }),
+                stopped,
+            })
+        };
+        assert_eq!(told(State::Serving, false), None, "while another generation is made, one is served");
         assert!(told(State::Serving, true).unwrap().contains("journal stopped"));
         assert!(told(State::Stalled, false).unwrap().contains("3 of 5"));
         assert!(told(State::Rebuilding, false).unwrap().contains("rebuilding"));

@@ -16,10 +16,10 @@ use crate::http::{HttpState, router};
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::Receiver<bool>) {
-    let Shared { config, store, expectations, feed, metrics, health } = shared;
+    let Shared { config, store, operations, expectations, feed, metrics, health } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
-    let state = HttpState { store, expectations, feed, metrics, health, ending: ending.clone() };
+    let state = HttpState { store, operations, expectations, feed, metrics, health, ending: ending.clone() };
     let routes = TowerToHyperService::new(router(state));
     let graceful = GracefulShutdown::new();
     let mut connections = Door::new(listener, limits.connections, limits.handshake()).open();

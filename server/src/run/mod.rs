@@ -3,12 +3,14 @@
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
+//! - [`retention`]: old uploads are made final.
 //! - [`signals`]: when to end.
 
 mod connections;
 mod follow;
 mod grpc;
 mod http;
+mod retention;
 mod signals;
 
 use std::future::Future;
@@ -27,7 +29,7 @@ use crate::feed::Feed;
 use crate::health::Health;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
-use crate::store::{self, EmbeddedStore, MapStore, Options};
+use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
 pub use signals::signalled;
 
 /// Why the service cannot run.
@@ -76,6 +78,7 @@ struct Shared {
     config: Arc<Config>,
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
+    operations: Arc<dyn Operations>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     health: Arc<Health>,
@@ -115,11 +118,14 @@ impl Server {
         };
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
-        let store: Arc<dyn MapStore> = Arc::new(store);
+        let store = Arc::new(store);
+        let operations: Arc<dyn Operations> = store.clone();
+        let store: Arc<dyn MapStore> = store;
         let (search, integrity) = (config.locating.search(), config.locating.integrity());
         let shared = Shared {
             expectations: Arc::new(Expectations::new(Arc::clone(&store), search, integrity)),
             config: Arc::new(config),
+            operations,
             store,
             feed: Arc::default(),
             metrics: Arc::default(),
@@ -150,6 +156,7 @@ impl Server {
         let grace = Duration::from_secs(shared.config.limits.shutdown_s);
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
+        let retention = tokio::spawn(retention::keep(shared.clone()));
         let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
         let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -159,6 +166,7 @@ impl Server {
         }
         tracing::info!("draining");
         follower.abort();
+        retention.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 
 use echofix_core::geo::{TileId, Zone};
 
+use super::tiles::stamp;
 use super::{TileInfo, Totals};
 
 /// The tiles, in order of their ids.
@@ -14,11 +15,13 @@ pub(super) struct Catalog {
     cells: u64,
     bytes: u64,
     newest_day: u16,
+    digest: u64,
 }
 
 impl Catalog {
     /// Adds a tile or its new version.
     pub(super) fn put(&mut self, info: TileInfo) {
+        self.digest = self.digest_with(&[info]);
         if let Some(before) = self.tiles.insert(info.id, info) {
             self.cells -= u64::from(before.cells);
             self.bytes -= u64::from(before.bytes);
@@ -26,6 +29,23 @@ impl Catalog {
         self.cells += u64::from(info.cells);
         self.bytes += u64::from(info.bytes);
         self.newest_day = self.newest_day.max(info.newest_day);
+    }
+
+    /// Sum of what all tiles are stamped with, once these are added: tells whether a set of stored tiles
+    /// is whole and of one time.
+    pub(super) fn digest_with(&self, infos: &[TileInfo]) -> u64 {
+        let changed = infos.iter().fold(self.digest, |digest, info| digest.wrapping_add(stamp(info)));
+        let before = infos.iter().filter_map(|info| self.tiles.get(&info.id));
+        before.fold(changed, |digest, info| digest.wrapping_sub(stamp(info)))
+    }
+
+    pub(super) fn digest(&self) -> u64 {
+        self.digest
+    }
+
+    /// All entries, in order of their ids.
+    pub(super) fn all(&self) -> impl Iterator<Item = &TileInfo> {
+        self.tiles.values()
     }
 
     pub(super) fn get(&self, id: TileId) -> Option<&TileInfo> {
@@ -73,7 +93,7 @@ impl Catalog {
     }
 
     pub(super) fn totals(&self, uploads: u64) -> Totals {
-        let Self { tiles, cells, bytes, newest_day } = self;
+        let Self { tiles, cells, bytes, newest_day, .. } = self;
         Totals { tiles: tiles.len() as u64, cells: *cells, bytes: *bytes, uploads, newest_day: *newest_day }
     }
 }

@@ -1,15 +1,17 @@
 //! The layout of a data directory.
 //!
 //! ```text
-//! lock      held while a server runs
-//! key       16 random bytes, mode 0600: what contributors' pseudonyms are hashed with
-//! journal/  the source of truth
-//! tiles/    sled; folded from the journal, may be deleted while no server runs
+//! lock       held while a server runs
+//! key        16 random bytes, mode 0600: what contributors' pseudonyms are hashed with
+//! journal/   the source of truth
+//! base-<n>   the source of truth for the records up to n that were settled
+//! manifest   which tiles are served
+//! tiles-<n>/ sled, a generation of tiles; folded from base and journal, may be deleted while no server runs
 //! ```
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::Hasher;
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +19,11 @@ use siphasher::sip::SipHasher24;
 
 use super::journal::Journal;
 use super::{Error, io_error};
+
+/// Ends the names of files that are being written.
+const UNFINISHED: &str = ".new";
+/// Tiles that are folded to be settled.
+const SCRATCH: &str = "scratch";
 
 /// A locked data directory.
 pub(super) struct DataDir {
@@ -52,8 +59,50 @@ impl DataDir {
         self.root.join("journal")
     }
 
-    pub(super) fn tiles(&self) -> PathBuf {
-        self.root.join("tiles")
+    pub(super) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The directory of a generation of tiles.
+    pub(super) fn generation(&self, number: u64) -> PathBuf {
+        self.root.join(format!("tiles-{number}"))
+    }
+
+    /// A number that no generation on disk has.
+    pub(super) fn next_generation(&self) -> Result<u64, Error> {
+        let numbers =
+            self.names()?.into_iter().filter_map(|name| name.strip_prefix("tiles-")?.parse::<u64>().ok());
+        Ok(numbers.max().unwrap_or(0) + 1)
+    }
+
+    /// Removes all tiles but those of a generation, and whatever unfinished work left over.
+    pub(super) fn remove_all_but(&self, generation: Option<u64>) -> Result<(), Error> {
+        let kept = generation.map(|number| format!("tiles-{number}"));
+        for name in self.names()? {
+            let tiles = name.starts_with("tiles") || name == SCRATCH;
+            let unfinished = name.ends_with(UNFINISHED);
+            let path = self.root.join(&name);
+            if tiles && kept.as_ref() != Some(&name) {
+                fs::remove_dir_all(path).map_err(io_error("removing old tiles"))?;
+            } else if unfinished {
+                fs::remove_file(path).map_err(io_error("removing an unfinished file"))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Where tiles are folded that are not served.
+    pub(super) fn scratch(&self) -> PathBuf {
+        self.root.join(SCRATCH)
+    }
+
+    fn names(&self) -> Result<Vec<String>, Error> {
+        let listing = "listing the data directory";
+        let mut names = Vec::new();
+        for entry in fs::read_dir(&self.root).map_err(io_error(listing))? {
+            names.extend(entry.map_err(io_error(listing))?.file_name().into_string());
+        }
+        Ok(names)
     }
 
     /// SipHash-2-4 of a contributor's pseudonym under this directory's key.
@@ -78,11 +127,7 @@ fn key(root: &Path) -> io::Result<[u8; 16]> {
     }
     let mut key = [0; 16];
     getrandom::fill(&mut key).map_err(io::Error::other)?;
-    let unnamed = root.join("key.new");
-    let mut file = OpenOptions::new().create(true).write(true).truncate(true).mode(0o600).open(&unnamed)?;
-    file.write_all(&key)?;
-    file.sync_all()?;
-    fs::rename(unnamed, path)?;
+    put_file_with(root, "key", 0o600, |file| file.write_all(&key))?;
     Ok(key)
 }
 
@@ -94,6 +139,31 @@ fn key_is_missing(root: &Path) -> Error {
                  16 random bytes there to go on with every contributor counted as a new one"
             .to_owned(),
     }
+}
+
+/// Writes a file that gets its name only when all of it is on disk; the name is on disk, too, when this
+/// returns.
+pub(super) fn put_file(
+    root: &Path,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    put_file_with(root, name, 0o644, write)
+}
+
+fn put_file_with(
+    root: &Path,
+    name: &str,
+    mode: u32,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let unnamed = root.join(format!("{name}{UNFINISHED}"));
+    let file = OpenOptions::new().create(true).write(true).truncate(true).mode(mode).open(&unnamed)?;
+    let mut file = BufWriter::new(file);
+    write(&mut file)?;
+    file.into_inner()?.sync_all()?;
+    fs::rename(unnamed, root.join(name))?;
+    sync_dir(root)
 }
 
 fn sync_dir(dir: &Path) -> io::Result<()> {

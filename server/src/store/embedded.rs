@@ -1,23 +1,29 @@
 //! The storage engine of one machine: the journal in files, the tiles in sled.
 
-use std::collections::HashMap;
+use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
-use std::sync::{Arc, RwLock};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::catalog::Catalog;
+use super::base::Base;
 use super::data_dir::DataDir;
-use super::fold::{self, Resumed};
-use super::index::{Claim, Index};
+use super::entry::{self, Action, Control, Note};
+use super::fold::unreadable;
+use super::folder::{self, Folder};
+use super::generation::Generation;
+use super::index::{Claim, Index, Kind};
 use super::journal::{Journal, Written};
+use super::manifest::Manifest;
 use super::shared::Shared;
 use super::{
-    Error, MapStore, Progress, Receipt, State, StoredTile, TileInfo, Totals, Upload, io_error, record,
+    Error, Event, Imported, MapStore, Operations, Progress, Receipt, Region, Snapshot, State, StoredTile,
+    TileInfo, Totals, Upload, Verified, build, clock, io_error,
 };
 
 /// Where and how an [`EmbeddedStore`] keeps its data.
@@ -25,7 +31,7 @@ use super::{
 pub struct Options {
     /// The data directory; made if missing.
     pub data_dir: PathBuf,
-    /// Memory for sled's cache, bytes.
+    /// Memory for sled's cache, bytes; twice that while a new generation of tiles is made.
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
@@ -33,8 +39,7 @@ pub struct Options {
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
 pub struct EmbeddedStore {
-    shared: Arc<Shared>,
-    dir: DataDir,
+    pub(super) shared: Arc<Shared>,
     folder: Option<JoinHandle<()>>,
 }
 
@@ -47,66 +52,126 @@ impl EmbeddedStore {
     pub fn open(options: &Options) -> Result<Self, Error> {
         let dir = DataDir::open(&options.data_dir)?;
         let index = Arc::new(Index::default());
-        let mut newest = HashMap::new();
         let found = Journal::recover(&dir.journal(), |written, payload| {
-            let head = record::decode_head(payload).ok_or_else(|| fold::unreadable(written.number))?;
-            newest.extend(head.tiles.iter().map(|(id, _)| (*id, written.number)));
-            index.note(head.id, written);
+            index.note(&entry::note(payload).ok_or_else(|| unreadable(written.number))?, written);
             Ok(())
         })?;
+        index.begin_after(found.end());
+        let base = Base::newest(dir.root(), found.id())?;
+        if base.last < index.before() {
+            return Err(build::uncovered(index.before(), base.last));
+        }
+        let mut folder = resume(&dir, options.cache_bytes, found.id(), &index)?;
+        if folder.on.is_none() && index.newest() == 0 {
+            folder.on = Some(first(&dir, options.cache_bytes, found.id())?);
+        }
+        dir.remove_all_but(folder.on.as_ref().map(|generation| generation.number))?;
         let end = index.newest();
-        let Resumed { tiles, sound, folded } =
-            fold::resume(&dir.tiles(), options.cache_bytes, found.id(), &newest, end)?;
-        let progress = watch::Sender::new(Progress {
-            state: State::Rebuilding,
-            epoch: folded,
-            journaled: end,
-            stopped: false,
-        });
+        let state = if shows_all(&folder, &index) { State::Serving } else { State::Rebuilding };
+        let epoch = folder.folded;
+        let progress =
+            watch::Sender::new(Progress { state, epoch, journaled: end, building: None, stopped: false });
         let deliver = {
             let (index, progress) = (index.clone(), progress.clone());
-            move |id: Uuid, written: Written| {
+            move |note: Note, written: Written| {
                 // Noting wakes the folding thread: it must not be ahead of what is told.
                 progress.send_modify(|progress| progress.journaled = written.number);
-                index.note(id, written);
+                index.note(&note, written);
             }
         };
-        let journal = Journal::start(&dir.journal(), found, options.segment_bytes, deliver)?;
-        let mut catalog = Catalog::default();
-        for info in sound {
-            catalog.put(info);
+        let journal_id = found.id();
+        let journal =
+            Journal::start(&dir.journal(), found, index.newest_day(), options.segment_bytes, deliver)?;
+        let (journal, served) = ((journal_id, journal), (folder.on.clone(), base.clone()));
+        let shared = Arc::new(Shared::new(dir, options.cache_bytes, journal, index, progress, served));
+        if folder.on.is_some() && folder.applied >= shared.index.newest_control() {
+            build::forget_settled(&shared, base)?;
         }
-        let shared = Arc::new(Shared { journal, index, tiles, catalog: RwLock::new(catalog), progress });
-        if folded == end {
-            shared.set_state(State::Serving);
-        }
-        let folder = {
+        let thread = {
             let shared = shared.clone();
             let thread = std::thread::Builder::new().name("fold".to_owned());
-            thread.spawn(move || fold::run(&shared)).map_err(io_error("starting the folding thread"))?
+            thread
+                .spawn(move || folder::run(&shared, folder))
+                .map_err(io_error("starting the folding thread"))?
         };
-        Ok(Self { shared, dir, folder: Some(folder) })
+        Ok(Self { shared, folder: Some(thread) })
     }
 
     fn counted_as(&self, written: Written) -> Result<Receipt, Error> {
         let payload = self.shared.journal.reader().payload(written.at)?;
-        let head = record::decode_head(&payload).ok_or_else(|| fold::unreadable(written.number))?;
-        Ok(Receipt::Duplicate { epoch: written.number, answer: head.answer })
+        let answer = entry::answer(&payload).ok_or_else(|| unreadable(written.number))?;
+        Ok(Receipt::Duplicate { epoch: written.number, answer })
+    }
+
+    pub(super) fn append(&self, note: Note, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
+        let written = self.shared.journal.append(note, fresh, payload);
+        written.inspect_err(|error| self.shared.note_stop(error))
+    }
+
+    /// Writes a control; the caller holds [`Shared::decide`].
+    fn control(&self, action: Action) -> Result<u64, Error> {
+        let at_us = clock::now_us();
+        let (note, payload) = entry::control(clock::day_of(at_us), Control { at_us, action });
+        // Settled segments end where the settlement begins.
+        let fresh = matches!(action, Action::Settle(_));
+        let written = self.append(note, fresh, payload)?;
+        tracing::info!(number = written.number, ?action, "a control was written");
+        Ok(written.number)
+    }
+}
+
+/// Opens the generation that the manifest names. One that is damaged or gone is made anew.
+fn resume(dir: &DataDir, cache_bytes: u64, journal: Uuid, index: &Index) -> Result<Folder, Error> {
+    let nothing = Folder { on: None, applied: 0, folded: index.before() };
+    let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == journal);
+    let Some(Manifest { generation: number, applied, .. }) = manifest else { return Ok(nothing) };
+    match Generation::open(&dir.generation(number), number, cache_bytes, journal) {
+        Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
+        Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
+        Err(reason) => {
+            tracing::warn!(reason, "the tiles cannot be used; folding them anew");
+            Ok(nothing)
+        }
+    }
+}
+
+/// The empty generation of a new journal.
+fn first(dir: &DataDir, cache_bytes: u64, journal: Uuid) -> Result<Arc<Generation>, Error> {
+    let number = dir.next_generation()?;
+    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal)?;
+    generation.load(&Base::default())?;
+    Manifest { journal, generation: number, applied: 0 }.write(dir.root())?;
+    Ok(Arc::new(generation))
+}
+
+/// Does a generation hold all that it ever can, so that it showed no more before?
+fn shows_all(folder: &Folder, index: &Index) -> bool {
+    let end = index.control_after(folder.applied).map_or_else(|| index.newest(), |control| control - 1);
+    folder.on.is_some() && folder.folded >= end
+}
+
+/// Tiles are folded from records on disk only, so the journal has lost some.
+fn journal_is_short(folded: u64, end: u64) -> Error {
+    Error::Damaged {
+        what: "the journal".to_owned(),
+        reason: format!(
+            "it ends at record {end} but the tiles hold record {folded}: acknowledged uploads are missing. \
+             Restore the journal, or delete the manifest to go on without them"
+        ),
     }
 }
 
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
-        self.dir.contributor(pseudonym)
+        self.shared.dir.contributor(pseudonym)
     }
 
     fn commit(&self, upload: Upload) -> Result<Receipt, Error> {
         match self.shared.index.claim(upload.id) {
             Claim::Counted(written) => self.counted_as(written),
             Claim::Ours(_pending) => {
-                let written = self.shared.journal.append(upload.id, record::encode(&upload));
-                let written = written.inspect_err(|error| self.shared.note_stop(error))?;
-                Ok(Receipt::Counted { epoch: written.number })
+                let (note, payload) = entry::upload(clock::today(), &upload);
+                Ok(Receipt::Counted { epoch: self.append(note, false, payload)?.number })
             }
         }
     }
@@ -116,12 +181,12 @@ impl MapStore for EmbeddedStore {
     }
 
     fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
-        self.shared.readable()?;
-        if self.shared.catalog().get(id).is_none() {
+        let generation = self.shared.readable()?;
+        if generation.catalog().get(id).is_none() {
             return Ok(None);
         }
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
-        self.shared.tiles.stored(id)?.ok_or_else(lost).map(Some)
+        generation.tiles.stored(id)?.ok_or_else(lost).map(Some)
     }
 
     fn catalog(
@@ -130,21 +195,98 @@ impl MapStore for EmbeddedStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
-        self.shared.readable()?;
-        Ok(self.shared.catalog().block(zone, &x, &y))
+        Ok(self.shared.readable()?.catalog().block(zone, &x, &y))
     }
 
     fn zones(&self) -> Vec<Zone> {
-        self.shared.catalog().zones()
+        self.shared.served().map(|generation| generation.catalog().zones()).unwrap_or_default()
     }
 
     fn totals(&self) -> Totals {
-        let uploads = self.shared.progress.borrow().journaled;
-        self.shared.catalog().totals(uploads)
+        let settled = self.shared.settled_uploads.load(Ordering::Relaxed);
+        let uploads = settled + self.shared.index.uploads();
+        let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads));
+        totals.unwrap_or(Totals { uploads, ..Totals::default() })
     }
 
     fn progress(&self) -> watch::Receiver<Progress> {
         self.shared.progress.subscribe()
+    }
+}
+
+impl Operations for EmbeddedStore {
+    fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
+        let _deciding = self.shared.decide();
+        let contributor = self.shared.dir.contributor(pseudonym);
+        let settled = self.shared.index.settled();
+        if !self.shared.index.any_after(settled, Kind::Upload { contributor }) {
+            return Err(Error::Unknown("this contributor has told nothing that is not settled".to_owned()));
+        }
+        self.control(Action::RevokeContributor(contributor))
+    }
+
+    fn revoke_upload(&self, id: Uuid) -> Result<u64, Error> {
+        let _deciding = self.shared.decide();
+        let (index, settled) = (&self.shared.index, self.shared.index.settled());
+        let an_upload = index.find(id).is_some_and(|written| written.number > settled);
+        if !an_upload && !index.any_after(settled, Kind::Import { file: id }) {
+            return Err(Error::Unknown(format!(
+                "no upload or imported file {id} that is not settled is known"
+            )));
+        }
+        self.control(Action::RevokeUpload(id))
+    }
+
+    fn rollback(&self, epoch: u64) -> Result<u64, Error> {
+        let _deciding = self.shared.decide();
+        self.in_journal(epoch)?;
+        self.control(Action::Rollback(epoch))
+    }
+
+    fn settle(&self, before_day: u16) -> Result<Option<u64>, Error> {
+        let _deciding = self.shared.decide();
+        let Some(last) = self.shared.index.last_before(before_day) else { return Ok(None) };
+        if self.shared.index.settled() >= last {
+            return Ok(None);
+        }
+        self.control(Action::Settle(last)).map(Some)
+    }
+
+    fn history(&self, limit: usize) -> Vec<Event> {
+        self.events(limit)
+    }
+
+    fn at(&self, epoch: u64) -> Result<Snapshot, Error> {
+        self.snapshot(epoch)
+    }
+
+    fn export(&self, region: &Region, out: &mut dyn Write) -> Result<u64, Error> {
+        self.export_region(region, out)
+    }
+
+    fn import(&self, file: &mut dyn Read) -> Result<Imported, Error> {
+        self.import_region(file)
+    }
+
+    fn backup(&self, out: &mut dyn Write) -> Result<u64, Error> {
+        self.write_backup(out)
+    }
+
+    fn verify(&self, replay: bool) -> Result<Verified, Error> {
+        self.verified(replay)
+    }
+}
+
+impl EmbeddedStore {
+    /// Is this the epoch of a map that can be had?
+    pub(super) fn in_journal(&self, epoch: u64) -> Result<(), Error> {
+        let (oldest, newest) =
+            (self.shared.index.settled().max(self.shared.index.before()), self.shared.index.newest());
+        if (oldest..=newest).contains(&epoch) {
+            return Ok(());
+        }
+        let told = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
+        Err(Error::Unknown(told))
     }
 }
 

@@ -5,26 +5,52 @@
 //! the journal in checksummed segment files and the tiles in sled.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
-//! - [`EmbeddedStore`]: the engine of one machine; its parts, from the disk upwards:
-//!   `data_dir` (layout, lock, key), `journal`, `record` (an upload's bytes), `index` (which
-//!   uploads are counted, where they lie), `tiles` (sled), `catalog`, `fold` (journal to tiles).
+//! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
+//! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
+//!   lock, key), `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
+//!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
+//!   `generation` and `catalog`, `canvas` and `fold` (records to tiles), `build` (new generations),
+//!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
+//!   `region` (export and import), `backup`, `verify`.
+//!
+//! Every state of the map is a function of the base and the journal's records up to the epoch, without what
+//! the controls among them exclude. Generations of tiles are that function's values, kept.
 
+mod backup;
+mod base;
+mod build;
+mod canvas;
 mod catalog;
+mod clock;
 mod data_dir;
 mod embedded;
+mod entry;
+mod exclusion;
 mod faults;
 mod fold;
+mod folder;
+mod generation;
+mod history;
 mod index;
 mod journal;
+mod manifest;
+mod operations;
 mod record;
+mod region;
 mod shared;
+mod stream;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 mod tiles;
+mod verify;
 
 pub use embedded::{EmbeddedStore, Options};
+pub use history::{Decision, Event, Snapshot, TileDiff, What};
+pub use operations::Operations;
+pub use region::{Imported, Region};
+pub use verify::Verified;
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -64,11 +90,17 @@ pub enum Error {
     /// The map is being folded from the journal and is not whole yet.
     #[error("the map is being rebuilt: {folded} of {journaled} uploads are folded; try again later")]
     Rebuilding {
-        /// Uploads folded.
+        /// The last record folded.
         folded: u64,
-        /// Uploads in the journal.
+        /// The last record in the journal.
         journaled: u64,
     },
+    /// There is nothing under this name.
+    #[error("{0}")]
+    Unknown(String),
+    /// What was given cannot be used.
+    #[error("{0}")]
+    Unusable(String),
     /// The store stopped accepting writes after a failure that may have lost one.
     #[error("the journal stopped after a write failed: {0}; restart the service once the disk is sound")]
     Stopped(String),
@@ -110,7 +142,7 @@ pub enum Receipt {
 /// A tile as it is served.
 #[derive(Debug, Clone)]
 pub struct StoredTile {
-    /// Epoch of the tile's last change.
+    /// Epoch of the tile's last change. A version stands for the same bytes for ever.
     pub version: u64,
     /// Its evidence.
     pub tile: Arc<Tile>,
@@ -142,7 +174,7 @@ pub struct Totals {
     pub cells: u64,
     /// Bytes of encoded tiles.
     pub bytes: u64,
-    /// Uploads counted since the journal began.
+    /// Uploads counted since the journal began, settled and revoked ones too.
     pub uploads: u64,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
@@ -165,12 +197,26 @@ pub enum State {
 pub struct Progress {
     /// Can the map be read?
     pub state: State,
-    /// Epoch of the map that is served: the number of the last contribution folded into it.
+    /// Epoch of the map that is served: the number of the last record folded into it.
     pub epoch: u64,
-    /// Number of the last contribution in the journal.
+    /// Number of the last record in the journal.
     pub journaled: u64,
+    /// A new generation of the map that is being made, under a control. What is served meanwhile, if
+    /// anything, does not show the control yet.
+    pub building: Option<Building>,
     /// The journal accepts nothing any more until a restart, see [`Error::Stopped`].
     pub stopped: bool,
+}
+
+/// A generation of the map that is being made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Building {
+    /// The last record folded into it.
+    pub folded: u64,
+    /// Number of the last record in the journal.
+    pub of: u64,
+    /// Number of the control it is made under; 0 when it replaces lost tiles.
+    pub control: u64,
 }
 
 fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {

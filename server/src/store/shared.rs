@@ -1,32 +1,98 @@
 //! What the store and its folding thread share.
 
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use tokio::sync::watch;
+use uuid::Uuid;
 
-use super::catalog::Catalog;
+use super::base::Base;
+use super::data_dir::DataDir;
+use super::generation::Generation;
 use super::index::Index;
 use super::journal::Journal;
-use super::tiles::Tiles;
 use super::{Error, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {
+    pub(super) cache_bytes: u64,
+    pub(super) journal_id: Uuid,
     pub(super) journal: Journal,
     pub(super) index: Arc<Index>,
-    pub(super) tiles: Tiles,
-    pub(super) catalog: RwLock<Catalog>,
     pub(super) progress: watch::Sender<Progress>,
+    served: RwLock<Option<Arc<Generation>>>,
+    /// Held for writing while settled records go.
+    base: RwLock<Base>,
+    /// Uploads in the base.
+    pub(super) settled_uploads: AtomicU64,
+    /// Held while a control is decided on and written: each knows all before it.
+    deciding: Mutex<()>,
+    /// Where a test lets the building of a generation fail.
+    #[cfg(test)]
+    pub(super) fails_at: Mutex<Option<super::build::Step>>,
+    /// Declared last: unlocked when all else is closed.
+    pub(super) dir: DataDir,
 }
 
 impl Shared {
-    /// Nothing is answered from a map that does not show all it once showed.
-    pub(super) fn readable(&self) -> Result<(), Error> {
-        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
-        match state {
-            State::Rebuilding => Err(Error::Rebuilding { folded: epoch, journaled }),
-            State::Serving | State::Stalled => Ok(()),
+    pub(super) fn new(
+        dir: DataDir,
+        cache_bytes: u64,
+        (journal_id, journal): (Uuid, Journal),
+        index: Arc<Index>,
+        progress: watch::Sender<Progress>,
+        (served, base): (Option<Arc<Generation>>, Base),
+    ) -> Self {
+        Self {
+            cache_bytes,
+            journal_id,
+            journal,
+            index,
+            progress,
+            served: RwLock::new(served),
+            settled_uploads: AtomicU64::new(base.uploads),
+            base: RwLock::new(base),
+            deciding: Mutex::default(),
+            #[cfg(test)]
+            fails_at: Mutex::default(),
+            dir,
         }
+    }
+
+    /// The generation that is read. Nothing is answered from a map that does not show all it once
+    /// showed.
+    pub(super) fn readable(&self) -> Result<Arc<Generation>, Error> {
+        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
+        let rebuilding = Error::Rebuilding { folded: epoch, journaled };
+        match state {
+            State::Rebuilding => Err(rebuilding),
+            State::Serving | State::Stalled => self.served().ok_or(rebuilding),
+        }
+    }
+
+    pub(super) fn served(&self) -> Option<Arc<Generation>> {
+        self.served.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Serves another generation from now on, and gives back the one before.
+    pub(super) fn serve(&self, generation: Option<Arc<Generation>>) -> Option<Arc<Generation>> {
+        std::mem::replace(&mut *self.served.write().unwrap_or_else(PoisonError::into_inner), generation)
+    }
+
+    /// The base; no settled record goes while this is held.
+    pub(super) fn base(&self) -> RwLockReadGuard<'_, Base> {
+        // It is replaced in one step.
+        self.base.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The base, and the right to delete what it covers.
+    pub(super) fn base_mut(&self) -> RwLockWriteGuard<'_, Base> {
+        self.base.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The right to write a control.
+    pub(super) fn decide(&self) -> MutexGuard<'_, ()> {
+        self.deciding.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn set_state(&self, state: State) {
@@ -42,14 +108,5 @@ impl Shared {
         if matches!(error, Error::Stopped(_)) {
             self.progress.send_if_modified(|progress| !std::mem::replace(&mut progress.stopped, true));
         }
-    }
-
-    pub(super) fn catalog(&self) -> RwLockReadGuard<'_, Catalog> {
-        // A panic cannot leave the catalog half changed in a way that matters: it only counts.
-        self.catalog.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub(super) fn catalog_mut(&self) -> RwLockWriteGuard<'_, Catalog> {
-        self.catalog.write().unwrap_or_else(PoisonError::into_inner)
     }
 }

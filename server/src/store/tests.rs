@@ -1,7 +1,7 @@
 //! The store as a whole, against a model that folds in memory.
 
 use std::collections::{BTreeMap, HashSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use echofix_core::tile::{self, Ledger};
@@ -9,6 +9,11 @@ use proptest::prelude::*;
 
 use super::testing::{some_uploads, uploads};
 use super::*;
+
+mod controls;
+mod copies;
+mod past;
+mod settling;
 
 fn options(dir: &Path) -> Options {
     Options { data_dir: dir.to_owned(), cache_bytes: 8 << 20, segment_bytes: 4096 }
@@ -24,10 +29,19 @@ fn commit_all(store: &EmbeddedStore, uploads: &[Upload]) {
     }
 }
 
+/// The directory of the tiles that are served.
+fn tiles_dir(dir: &Path) -> PathBuf {
+    let named = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("tiles-");
+    let mut all: Vec<_> =
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).filter(named).collect();
+    assert_eq!(all.len(), 1, "{all:?}");
+    all.remove(0)
+}
+
 /// Waits until everything in the journal is folded.
-fn settled(store: &EmbeddedStore) {
+fn caught_up(store: &EmbeddedStore) {
     let deadline = Instant::now() + Duration::from_secs(20);
-    let done = |p: Progress| p.state == State::Serving && p.epoch == p.journaled;
+    let done = |p: Progress| p.state == State::Serving && p.epoch == p.journaled && p.building.is_none();
     while !done(*store.progress().borrow()) {
         assert!(Instant::now() < deadline, "folding does not end");
         std::thread::sleep(Duration::from_millis(1));
@@ -36,7 +50,7 @@ fn settled(store: &EmbeddedStore) {
 
 /// Versions and bytes of all tiles.
 fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Bytes)> {
-    settled(store);
+    caught_up(store);
     let all = i32::MIN..=i32::MAX;
     let infos =
         store.zones().into_iter().flat_map(|zone| store.catalog(zone, all.clone(), all.clone()).unwrap());
@@ -103,21 +117,21 @@ fn deleted_tiles_are_rebuilt_to_the_same_bytes() {
     commit_all(&store, &uploads);
     let before = map(&store);
     drop(store);
-    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
     assert_eq!(map(&open(dir.path())), before);
     assert_eq!(before, model(&uploads));
 }
 
 #[test]
-fn tiles_that_cannot_be_opened_are_put_aside_and_rebuilt() {
+fn tiles_that_cannot_be_opened_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(20);
     let store = open(dir.path());
     commit_all(&store, &uploads);
-    settled(&store);
+    caught_up(&store);
     drop(store);
     for file in ["conf", "db"] {
-        std::fs::write(dir.path().join("tiles").join(file), [0xa5; 9000]).unwrap();
+        std::fs::write(tiles_dir(dir.path()).join(file), [0xa5; 9000]).unwrap();
         assert_eq!(map(&open(dir.path())), model(&uploads), "{file}");
     }
 }
@@ -129,10 +143,11 @@ fn tiles_of_another_journal_are_not_believed() {
     for (dir, range) in [(&here, 0..3), (&there, 3..8)] {
         let store = open(dir.path());
         commit_all(&store, &uploads[range]);
-        settled(&store);
+        caught_up(&store);
     }
-    std::fs::remove_dir_all(here.path().join("tiles")).unwrap();
-    std::fs::rename(there.path().join("tiles"), here.path().join("tiles")).unwrap();
+    let ours = tiles_dir(here.path());
+    std::fs::remove_dir_all(&ours).unwrap();
+    std::fs::rename(tiles_dir(there.path()), ours).unwrap();
     assert_eq!(map(&open(here.path())), model(&uploads[..3]));
 }
 
@@ -142,12 +157,12 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
     let uploads = some_uploads(30);
     let store = open(dir.path());
     commit_all(&store, &uploads[..10]);
-    settled(&store);
+    caught_up(&store);
     drop(store);
     let old: Vec<_> = sled_tree(dir.path(), |tree| tree.iter().map(Result::unwrap).collect());
     let store = open(dir.path());
     commit_all(&store, &uploads[10..]);
-    settled(&store);
+    caught_up(&store);
     drop(store);
     sled_tree(dir.path(), |tree| {
         for (i, (key, value)) in old.iter().enumerate() {
@@ -163,7 +178,7 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let tiles = tiles::Tiles::open(&dir.join("tiles"), 1 << 20).unwrap();
+    let tiles = tiles::Tiles::open(&tiles_dir(dir), 1 << 20).unwrap();
     let result = work(&tiles.tree);
     tiles.db.flush().unwrap();
     result
@@ -175,7 +190,7 @@ fn acknowledged_uploads_missing_from_the_journal_are_told() {
     let store = open(dir.path());
     let uploads = some_uploads(3);
     commit_all(&store, &uploads);
-    settled(&store);
+    caught_up(&store);
     drop(store);
     let segment = dir.path().join("journal/00000000000000000001.seg");
     let bytes = std::fs::read(&segment).unwrap();
@@ -184,7 +199,7 @@ fn acknowledged_uploads_missing_from_the_journal_are_told() {
         Err(Error::Damaged { reason, .. }) => assert!(reason.contains("acknowledged"), "{reason}"),
         _ => panic!("the loss went unnoticed"),
     }
-    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    std::fs::remove_file(dir.path().join("manifest")).unwrap();
     assert_eq!(map(&open(dir.path())), model(&uploads[..2]), "the operator may decide to go on");
 }
 
@@ -277,7 +292,7 @@ fn nothing_is_answered_from_a_map_that_is_being_rebuilt() {
     commit_all(&store, &uploads);
     let whole = map(&store);
     drop(store);
-    std::fs::remove_dir_all(dir.path().join("tiles")).unwrap();
+    std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
     let store = open(dir.path());
     let mut refusals = 0;
     loop {

@@ -1,24 +1,32 @@
-//! Tiles in sled, which is not trusted: every value carries its own checksum and says how far the
-//! journal is folded into it, so that whatever sled lost can be folded again.
+//! Tiles in sled, which is not trusted: every value carries its own checksum, and with every change goes,
+//! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
+//! kept from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
 //! key    EPSG code (2) | y (4) | x (4), big-endian, signs flipped: neighbours sit together
 //! value  CRC-32C of key and the rest (4) | version (8) | cells (4) | newest day (2) | tile length (4) | tile | ledger
+//! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
+use std::hash::Hasher;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use echofix_core::geo::{TileId, Zone};
-use echofix_core::tile::{self, Ledger, Tile};
+use echofix_core::tile;
+use siphasher::sip::SipHasher24;
 use sled::IVec;
 use uuid::Uuid;
 
+use super::canvas::{Folded, Source};
+use super::catalog::Catalog;
 use super::{Error, StoredTile, TileInfo};
 
 /// Where the journal the tiles were folded from is named.
 const JOURNAL: &[u8] = b"journal";
+/// Where it is kept how far the tiles go.
+const STATE: &[u8] = b"state";
 const KEY: usize = 10;
 const HEAD: usize = 22;
 /// How long a dropped instance may take to let go.
@@ -28,15 +36,6 @@ const LOCK_WAIT: Duration = Duration::from_secs(10);
 pub(super) struct Tiles {
     pub(super) db: sled::Db,
     pub(super) tree: sled::Tree,
-}
-
-/// A tile and what folding needs of it.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Folded {
-    /// Number of the last upload folded in; 0 for none.
-    pub(super) version: u64,
-    pub(super) tile: Tile,
-    pub(super) ledger: Ledger,
 }
 
 impl Tiles {
@@ -57,24 +56,25 @@ impl Tiles {
         Ok(())
     }
 
-    /// The catalog's entries of all sound tiles; removes whatever else it meets.
-    pub(super) fn sound(&self) -> Result<Vec<TileInfo>, Error> {
-        let mut sound = Vec::new();
+    /// All tiles and how far they are folded; `Err` says what is wrong with them.
+    pub(super) fn check(&self) -> Result<(Catalog, u64), String> {
+        let mut catalog = Catalog::default();
         for entry in &self.tree {
-            let (key, value) = entry?;
-            if let Some(info) = parse(&key, &value).map(|value| value.info) {
-                sound.push(info);
-            } else {
-                tracing::warn!(key = ?&key[..], "a stored tile is damaged; folding it again");
-                self.tree.remove(key)?;
+            let (key, value) = entry.map_err(|error| error.to_string())?;
+            if key != STATE {
+                let value =
+                    parse(&key, &value).ok_or_else(|| format!("the value of {:?} is damaged", &key[..]))?;
+                catalog.put(value.info);
             }
         }
-        Ok(sound)
-    }
-
-    pub(super) fn remove(&self, id: TileId) -> Result<(), Error> {
-        self.tree.remove(key(id))?;
-        Ok(())
+        match self.tree.get(STATE).map_err(|error| error.to_string())? {
+            None => Err("it is not said how far they are folded".to_owned()),
+            Some(state) => match parse_state(&state) {
+                Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
+                Some(_) => Err("some are missing or older than the others".to_owned()),
+                None => Err("how far they are folded is damaged".to_owned()),
+            },
+        }
     }
 
     /// The tile as it is served.
@@ -86,16 +86,55 @@ impl Tiles {
         Ok(Some(StoredTile { version: value.info.version, tile: tile.into(), encoded }))
     }
 
-    /// The tile as it is folded on; empty where there is none.
-    pub(super) fn folded(&self, id: TileId) -> Result<Folded, Error> {
+    /// Version and encoded bytes of a tile.
+    pub(super) fn raw(&self, id: TileId) -> Result<Option<(u64, Vec<u8>)>, Error> {
+        let Some((key, value)) = self.value(id)? else { return Ok(None) };
+        let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
+        Ok(Some((value.info.version, value.tile.to_vec())))
+    }
+
+    /// Puts tiles, and how far they go with them, all or none.
+    pub(super) fn put_all(&self, values: Vec<Value>, folded: u64, digest: u64) -> Result<(), Error> {
+        let mut batch = sled::Batch::default();
+        for Value { key, bytes, .. } in values {
+            batch.insert(&key[..], bytes);
+        }
+        batch.insert(STATE, state(folded, digest));
+        self.tree.apply_batch(batch)?;
+        Ok(())
+    }
+
+    /// Asks sled to bring everything to disk.
+    pub(super) fn flush(&self) -> Result<(), Error> {
+        self.db.flush()?;
+        Ok(())
+    }
+
+    fn value(&self, id: TileId) -> Result<Option<([u8; KEY], IVec)>, Error> {
+        let key = key(id);
+        Ok(self.tree.get(key)?.map(|value| (key, value)))
+    }
+}
+
+impl Source for Tiles {
+    fn folded(&self, id: TileId) -> Result<Folded, Error> {
         let Some((key, value)) = self.value(id)? else { return Ok(Folded::default()) };
         let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
         let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
         let ledger = tile::decode_ledger(value.ledger).map_err(|e| damaged(id, &e))?;
         Ok(Folded { version: value.info.version, tile, ledger })
     }
+}
 
-    pub(super) fn put(&self, id: TileId, folded: &Folded) -> Result<TileInfo, Error> {
+/// A tile in the bytes it is stored in.
+pub(super) struct Value {
+    key: [u8; KEY],
+    bytes: Vec<u8>,
+    pub(super) info: TileInfo,
+}
+
+impl Value {
+    pub(super) fn new(id: TileId, folded: &Folded) -> Self {
         let (key, encoded) = (key(id), tile::encode(&folded.tile));
         let info = TileInfo {
             id,
@@ -104,23 +143,41 @@ impl Tiles {
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
         };
-        let mut value = vec![0; 4];
-        value.extend_from_slice(&info.version.to_le_bytes());
-        value.extend_from_slice(&info.cells.to_le_bytes());
-        value.extend_from_slice(&info.newest_day.to_le_bytes());
-        value.extend_from_slice(&info.bytes.to_le_bytes());
-        value.extend_from_slice(&encoded);
-        value.extend_from_slice(&tile::encode_ledger(&folded.ledger));
-        let checksum = checksum(&key, &value);
-        value[..4].copy_from_slice(&checksum.to_le_bytes());
-        self.tree.insert(key, value)?;
-        Ok(info)
+        let mut bytes = vec![0; 4];
+        bytes.extend_from_slice(&info.version.to_le_bytes());
+        bytes.extend_from_slice(&info.cells.to_le_bytes());
+        bytes.extend_from_slice(&info.newest_day.to_le_bytes());
+        bytes.extend_from_slice(&info.bytes.to_le_bytes());
+        bytes.extend_from_slice(&encoded);
+        bytes.extend_from_slice(&tile::encode_ledger(&folded.ledger));
+        let checksum = checksum(&key, &bytes);
+        bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+        Self { key, bytes, info }
     }
+}
 
-    fn value(&self, id: TileId) -> Result<Option<([u8; KEY], IVec)>, Error> {
-        let key = key(id);
-        Ok(self.tree.get(key)?.map(|value| (key, value)))
-    }
+fn state(folded: u64, digest: u64) -> Vec<u8> {
+    let mut bytes = vec![0; 4];
+    bytes.extend_from_slice(&folded.to_le_bytes());
+    bytes.extend_from_slice(&digest.to_le_bytes());
+    let checksum = checksum(STATE, &bytes);
+    bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+    bytes
+}
+
+fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
+    let bytes: &[u8; 20] = bytes.try_into().ok()?;
+    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+    let (folded, digest) = (word(4), word(12));
+    (state(folded, digest) == bytes).then_some((folded, digest))
+}
+
+/// What a tile's version adds to the digest of all.
+pub(super) fn stamp(info: &TileInfo) -> u64 {
+    let mut hasher = SipHasher24::new();
+    hasher.write(&key(info.id));
+    hasher.write_u64(info.version);
+    hasher.finish()
 }
 
 /// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
@@ -140,13 +197,13 @@ fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
 }
 
 /// A value whose checksum matches.
-struct Value<'a> {
+struct Parsed<'a> {
     info: TileInfo,
     tile: &'a [u8],
     ledger: &'a [u8],
 }
 
-fn parse<'a>(key: &[u8], value: &'a [u8]) -> Option<Value<'a>> {
+fn parse<'a>(key: &[u8], value: &'a [u8]) -> Option<Parsed<'a>> {
     let id = id(key)?;
     let (head, body) = value.split_at_checked(HEAD)?;
     if checksum(key, value).to_le_bytes() != head[..4] {
@@ -160,7 +217,7 @@ fn parse<'a>(key: &[u8], value: &'a [u8]) -> Option<Value<'a>> {
         bytes: u32::from_le_bytes(head[18..22].try_into().ok()?),
     };
     let (tile, ledger) = body.split_at_checked(info.bytes as usize)?;
-    Some(Value { info, tile, ledger })
+    Some(Parsed { info, tile, ledger })
 }
 
 /// The key is part of the sum: a sound value under another tile's key is damage too.
@@ -204,18 +261,38 @@ mod tests {
         }
 
         #[test]
-        fn a_changed_bit_of_a_value_is_noticed(at: prop::sample::Index, bit in 0..8_u8) {
+        fn a_changed_bit_of_a_value_is_noticed(at: prop::sample::Index, bit in 0..8_u8, of_state: bool) {
             let dir = tempfile::tempdir().unwrap();
             let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
             let at_home = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x: -1 };
-            tiles.put(at_home, &Folded { version: 3, ..Folded::default() }).unwrap();
-            let (key, value) = tiles.value(at_home).unwrap().unwrap();
-            let mut bad = value.to_vec();
-            bad[at.index(value.len())] ^= 1_u8 << bit;
-            tiles.tree.insert(key, bad).unwrap();
-            prop_assert!(tiles.stored(at_home).is_err() && tiles.folded(at_home).is_err());
-            prop_assert!(tiles.sound().unwrap().is_empty());
-            prop_assert!(tiles.stored(at_home).unwrap().is_none());
+            let value = Value::new(at_home, &Folded { version: 3, ..Folded::default() });
+            let digest = stamp(&value.info);
+            tiles.put_all(vec![value], 3, digest).unwrap();
+            prop_assert_eq!(tiles.check().unwrap().1, 3);
+            let key = if of_state { STATE.to_vec() } else { key(at_home).to_vec() };
+            let mut bad = tiles.tree.get(&key).unwrap().unwrap().to_vec();
+            let at = at.index(bad.len());
+            bad[at] ^= 1_u8 << bit;
+            tiles.tree.insert(&key, bad).unwrap();
+            prop_assert!(tiles.check().is_err());
+            prop_assert!(of_state || tiles.stored(at_home).is_err() && tiles.folded(at_home).is_err());
         }
+    }
+
+    #[test]
+    fn a_lost_or_older_tile_is_noticed() {
+        let dir = tempfile::tempdir().unwrap();
+        let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+        let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x };
+        let value = |x, version| Value::new(id(x), &Folded { version, ..Folded::default() });
+        let digest = stamp(&value(1, 3).info).wrapping_add(stamp(&value(2, 5).info));
+        tiles.put_all(vec![value(1, 3), value(2, 5)], 5, digest).unwrap();
+        assert!(tiles.check().is_ok());
+        let kept = tiles.tree.remove(key(id(1))).unwrap().unwrap();
+        assert!(tiles.check().is_err());
+        tiles.tree.insert(key(id(1)), kept).unwrap();
+        assert!(tiles.check().is_ok());
+        tiles.tree.insert(key(id(1)), value(1, 2).bytes).unwrap();
+        assert!(tiles.check().is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! `echofix map`: drive logs go to the map.
+//! `echofix map`: drive logs go to the map; its history, and what operators do with it.
 
 use std::path::PathBuf;
 
@@ -8,12 +8,19 @@ use echofix_client::upload::{Config as RecorderConfig, Form};
 use echofix_core::scan::Gate;
 
 use super::ScanRange;
+use super::map_operations::{self, Operation};
 use crate::contribute::{self, Contributed};
 use crate::progress;
 
 /// Arguments of `echofix map`.
 #[derive(clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
+    #[command(subcommand)]
+    operation: Option<Operation>,
+    /// Address of the service's HTTP port, for operations.
+    #[arg(long, global = true, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
+    http: String,
     /// Drive logs: .mcap files or CSV folders.
     #[arg(required = true)]
     drives: Vec<PathBuf>,
@@ -45,8 +52,13 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a log cannot be read, has no known poses, or the service does not take its uploads.
+/// When a log cannot be read, has no known poses, or the service does not take its uploads; or an operation
+/// fails.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+    if let Some(operation) = args.operation {
+        // Blocking, like all of it.
+        return tokio::task::block_in_place(|| map_operations::run(&operation, &args.http, json));
+    }
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
     let config = RecorderConfig {
         gate,

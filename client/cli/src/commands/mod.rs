@@ -6,6 +6,7 @@ pub mod evaluate;
 pub mod import;
 pub mod localize;
 pub mod map;
+mod map_operations;
 pub mod serve;
 pub mod simulate;
 pub mod status;

@@ -14,13 +14,15 @@ mod writer;
 use std::fs::{self, File};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{self, Sender};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use uuid::Uuid;
 
 use super::faults::{Fault, fault};
+use super::backup::Part;
+use super::entry::Note;
 use super::{Error, io_error};
 use medium::Segment;
 use writer::{Append, Writer};
@@ -29,7 +31,7 @@ use writer::{Append, Writer};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Position {
     /// Number of the segment's first record.
-    segment: u64,
+    pub(super) segment: u64,
     /// Byte of the payload.
     offset: u32,
     /// Bytes of the payload.
@@ -63,6 +65,11 @@ impl Found {
     pub(super) fn id(&self) -> Uuid {
         self.id
     }
+
+    /// Number of the last record; of the one before the first where there is none.
+    pub(super) fn end(&self) -> u64 {
+        self.next - 1
+    }
 }
 
 impl Journal {
@@ -80,7 +87,8 @@ impl Journal {
             let id = Uuid::now_v7();
             return Ok(Found { id, segment: Segment::create(dir, id, 1)?, next: 1 });
         };
-        let (mut id, mut next, mut length) = (None, 1, 0);
+        // Older ones were settled: whether something covers them, the store knows.
+        let (mut id, mut next, mut length) = (None, firsts[0], 0);
         for first in firsts {
             let path = segment::path(dir, first);
             let bytes = fs::read(&path).map_err(io_error("reading a journal segment"))?;
@@ -120,36 +128,94 @@ impl Journal {
         Ok(false)
     }
 
-    /// Starts writing. `deliver` is told of every record in order, once it is on disk and before
-    /// its append returns.
+    /// Starts writing; `day` is the one the newest record was written on. `deliver` is told of every
+    /// record in order, once it is on disk and before its append returns.
     pub(super) fn start(
         dir: &Path,
         found: Found,
+        day: Option<u16>,
         segment_bytes: u64,
-        deliver: impl FnMut(Uuid, Written) + Send + 'static,
+        deliver: impl FnMut(Note, Written) + Send + 'static,
     ) -> Result<Self, Error> {
         let (sender, receiver) = mpsc::channel();
-        let writer = Writer::new(found.segment, found.next, segment_bytes, Box::new(deliver));
+        let writer = Writer::new(found.segment, found.next, day, segment_bytes, Box::new(deliver));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
         Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
     }
 
-    /// Writes a record and returns once it is on disk.
+    /// Writes a record and returns once it is on disk. No segment holds records of two days, so that
+    /// whole segments grow old; a record may also ask for a `fresh` one.
     ///
     /// # Errors
     /// When that is not certain.
-    pub(super) fn append(&self, upload: Uuid, payload: Vec<u8>) -> Result<Written, Error> {
-        let (done, outcome) = mpsc::sync_channel(1);
-        let gone = || Error::Stopped("the journal's thread has ended".to_owned());
-        let sender = self.sender.as_ref().ok_or_else(gone)?;
-        let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        sender.send(Append { upload, payload, done }).map_err(|_| gone())?;
+    pub(super) fn append(&self, note: Note, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
+        let outcome = self.send(note, fresh, payload)?;
         if fault() == Some(Fault::AckBeforeWrite) {
             let nowhere = Position { segment: 0, offset: 0, length: 0 };
             return Ok(Written { number: 0, at: nowhere });
         }
         outcome.recv().map_err(|_| gone())?
+    }
+
+    /// Writes records in order, with as few syncs as they need, and returns once all are on disk.
+    ///
+    /// # Errors
+    /// When that is not certain for any of them.
+    pub(super) fn append_all(&self, records: Vec<(Note, Vec<u8>)>) -> Result<Vec<Written>, Error> {
+        let sent = records.into_iter().map(|(note, payload)| self.send(note, false, payload));
+        let outcomes = sent.collect::<Result<Vec<_>, _>>()?;
+        outcomes.into_iter().map(|outcome| outcome.recv().map_err(|_| gone())?).collect()
+    }
+
+    fn send(
+        &self,
+        note: Note,
+        fresh: bool,
+        payload: Vec<u8>,
+    ) -> Result<Receiver<Result<Written, Error>>, Error> {
+        let (done, outcome) = mpsc::sync_channel(1);
+        let sender = self.sender.as_ref().ok_or_else(gone)?;
+        let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        sender.send(Append { note, fresh, payload, done }).map_err(|_| gone())?;
+        Ok(outcome)
+    }
+
+    /// Deletes the segments all of whose records have numbers up to `last`, oldest first, but never
+    /// the newest.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(super) fn delete_up_to(&self, last: u64) -> Result<(), Error> {
+        let firsts = segments(&self.dir)?;
+        let covered = firsts.iter().zip(firsts.iter().skip(1)).filter(|(_, next)| **next <= last + 1);
+        for (first, _) in covered {
+            fs::remove_file(segment::path(&self.dir, *first))
+                .map_err(io_error("deleting a settled segment"))?;
+        }
+        File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
+    }
+
+    /// The journal's files up to a record that is on disk; all of them, as they are, without one.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(super) fn parts(&self, last: Option<Position>) -> Result<Vec<Part>, Error> {
+        let opening = "opening a journal segment";
+        let mut parts = Vec::new();
+        for first in segments(&self.dir)? {
+            let path = segment::path(&self.dir, first);
+            let file = File::open(&path).map_err(io_error(opening))?;
+            let whole = file.metadata().map_err(io_error(opening))?.len();
+            let length = match last {
+                Some(last) if first > last.segment => continue,
+                Some(last) if first == last.segment => u64::from(last.offset) + u64::from(last.length),
+                _ => whole,
+            };
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+            parts.push(Part { name: format!("journal/{}", name.unwrap_or_default()), file, length });
+        }
+        Ok(parts)
     }
 
     /// Payloads of records, read with as few opened files as their order allows.
@@ -227,6 +293,10 @@ fn drop_unfinished(dir: &Path, firsts: &mut Vec<u64>) -> Result<(), Error> {
         firsts.pop();
     }
     Ok(())
+}
+
+fn gone() -> Error {
+    Error::Stopped("the journal's thread has ended".to_owned())
 }
 
 fn damaged(path: &Path, at: usize, reason: &str) -> Error {

@@ -3,12 +3,11 @@
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender};
 
-use uuid::Uuid;
-
 use super::medium::Segment;
 use super::segment::{self, RECORD_HEADER};
 use super::{Position, Written};
 use crate::store::Error;
+use crate::store::entry::Note;
 use crate::store::faults::{Fault, fault};
 
 /// Bytes written with one sync at most, but for a single larger record.
@@ -16,19 +15,23 @@ const GROUP_BYTES: usize = 8 << 20;
 
 /// A record that waits to be written.
 pub(super) struct Append {
-    pub(super) upload: Uuid,
+    pub(super) note: Note,
+    /// Begins a segment of its own.
+    pub(super) fresh: bool,
     pub(super) payload: Vec<u8>,
     /// Where the caller waits for the outcome.
     pub(super) done: SyncSender<Result<Written, Error>>,
 }
 
 /// Told of every record once it is on disk.
-type Deliver = Box<dyn FnMut(Uuid, Written) + Send>;
+type Deliver = Box<dyn FnMut(Note, Written) + Send>;
 
 pub(super) struct Writer {
     segment: Segment,
     /// Number of the next record.
     next: u64,
+    /// Day the newest record was written on.
+    day: Option<u16>,
     segment_bytes: u64,
     deliver: Deliver,
     /// Why nothing is accepted any more.
@@ -44,18 +47,29 @@ enum Failure {
 }
 
 impl Writer {
-    pub(super) fn new(segment: Segment, next: u64, segment_bytes: u64, deliver: Deliver) -> Self {
-        Self { segment, next, segment_bytes, deliver, stopped: None }
+    pub(super) fn new(
+        segment: Segment,
+        next: u64,
+        day: Option<u16>,
+        segment_bytes: u64,
+        deliver: Deliver,
+    ) -> Self {
+        Self { segment, next, day, segment_bytes, deliver, stopped: None }
     }
 
     /// Writes until every sender is gone.
     pub(super) fn run(mut self, receiver: &Receiver<Append>) {
-        while let Ok(first) = receiver.recv() {
-            let mut bytes = first.payload.len();
+        let mut held = None;
+        while let Some(first) = held.take().or_else(|| receiver.recv().ok()) {
+            let (mut bytes, day) = (first.payload.len(), first.note.day);
             let mut group = vec![first];
             while bytes < GROUP_BYTES
                 && let Ok(append) = receiver.try_recv()
             {
+                if append.fresh || append.note.day != day {
+                    held = Some(append);
+                    break;
+                }
                 bytes += append.payload.len();
                 group.push(append);
             }
@@ -67,12 +81,13 @@ impl Writer {
     fn commit(&mut self, group: Vec<Append>) {
         let written = match &self.stopped {
             Some(reason) => Err(Failure::Unknown(reason.clone())),
-            None => self.roll().and_then(|()| self.write(&group)),
+            None => self.roll(&group[0]).and_then(|()| self.write(&group)),
         };
         match written {
             Ok(written) => {
                 for (append, written) in group.into_iter().zip(written) {
-                    (self.deliver)(append.upload, written);
+                    self.day = Some(append.note.day);
+                    (self.deliver)(append.note, written);
                     // A caller that went away is told by its own retry.
                     let _ = append.done.send(Ok(written));
                 }
@@ -103,9 +118,11 @@ impl Writer {
         }
     }
 
-    /// Starts a new segment when the current one is full.
-    fn roll(&mut self) -> Result<(), Failure> {
-        if self.segment.length < self.segment_bytes {
+    /// Starts a new segment when the current one is full or of another day.
+    fn roll(&mut self, first: &Append) -> Result<(), Failure> {
+        let another_day = self.day.is_some_and(|day| day != first.note.day);
+        let full = self.segment.length >= self.segment_bytes;
+        if !full && (self.segment.first == self.next || !(another_day || first.fresh)) {
             return Ok(());
         }
         let Segment { dir, journal, .. } = &self.segment;
@@ -150,8 +167,11 @@ mod tests {
     use std::sync::mpsc;
     use std::sync::{Arc, Mutex};
 
+    use uuid::Uuid;
+
     use super::super::medium::Medium;
     use super::*;
+    use crate::store::entry::What;
 
     /// A disk that fails when told to.
     #[derive(Clone, Default)]
@@ -190,12 +210,13 @@ mod tests {
     fn writer(disk: &Faulty) -> Writer {
         let medium = Box::new(disk.clone());
         let segment = Segment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
-        Writer::new(segment, 1, u64::MAX, Box::new(|_, _| {}))
+        Writer::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
     }
 
     fn append(writer: &mut Writer) -> Result<Written, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
-        writer.commit(vec![Append { upload: Uuid::nil(), payload: b"payload".to_vec(), done }]);
+        let note = Note { day: 1, what: What::Upload { id: Uuid::nil(), contributor: 1 } };
+        writer.commit(vec![Append { note, fresh: false, payload: b"payload".to_vec(), done }]);
         outcome.recv().unwrap()
     }
 

@@ -1,0 +1,232 @@
+//! `echofix map history`, `diff`, `rollback`, ...: what an operator sees and decides, over HTTP.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, bail, ensure};
+use serde_json::{Value, json};
+use ureq::http::Response;
+use ureq::{Body, SendBody};
+
+/// How long an operation may take: some fold the whole journal again.
+const WITHIN: Duration = Duration::from_hours(1);
+
+/// What is done with the map.
+#[derive(clap::Subcommand)]
+pub enum Operation {
+    /// Show what happened to the map: uploads, imports and decisions, newest first.
+    History {
+        /// How many events.
+        #[arg(long, default_value_t = 20)]
+        limit: u32,
+    },
+    /// Compare the map of two epochs.
+    Diff {
+        /// The earlier epoch.
+        from: u64,
+        /// The later epoch.
+        to: u64,
+    },
+    /// Take back all uploads and imports after an epoch.
+    Rollback {
+        /// The last epoch that counts.
+        epoch: u64,
+    },
+    /// Take back what a contributor told so far, or one upload or imported file.
+    #[command(group = clap::ArgGroup::new("whose").required(true))]
+    Revoke {
+        /// The contributor's pseudonym, as its uploads name it.
+        #[arg(long, group = "whose")]
+        contributor: Option<String>,
+        /// The id of an upload or an imported file.
+        #[arg(long, group = "whose")]
+        upload: Option<String>,
+    },
+    /// Write a region's map to a file.
+    Export {
+        /// The file; it must not exist.
+        file: PathBuf,
+        /// West, south, east, north in degrees, separated by commas; all of the map without it.
+        #[arg(long = "box", allow_hyphen_values = true)]
+        area: Option<String>,
+    },
+    /// Add an exported region to the map. It counts once, however often it is imported.
+    Import {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Read all that the service stores and check it.
+    Verify {
+        /// Also fold the journal again and compare.
+        #[arg(long)]
+        replay: bool,
+    },
+    /// Make final what came before a day: it can no longer be taken back, and takes less room.
+    Compact {
+        /// UTC date, like 2026-12-31.
+        #[arg(long)]
+        before: String,
+    },
+    /// Write a copy of the store to a tar archive while the service runs; unpack it into a data directory to
+    /// restore. It holds the key that contributors are hashed with: keep it secret.
+    Backup {
+        /// The archive; it must not exist.
+        file: PathBuf,
+    },
+}
+
+/// Runs an operation against the HTTP port.
+///
+/// # Errors
+/// When the service is out of reach or refuses, a file cannot be read or written, or `verify` finds damage.
+pub fn run(operation: &Operation, http: &str, json: bool) -> anyhow::Result<()> {
+    let service = Service::at(http);
+    let body = match operation {
+        Operation::History { limit } => {
+            let body = service.get(&format!("history?limit={limit}"))?;
+            return show(&body, json, history);
+        }
+        Operation::Diff { from, to } => {
+            let body = service.get(&format!("diff?from={from}&to={to}"))?;
+            return show(&body, json, diff);
+        }
+        Operation::Verify { replay } => {
+            let body = service.get(&format!("verify?replay={replay}"))?;
+            show(&body, json, |body| println!("{body:#}"))?;
+            // Scripts go by the exit code.
+            ensure!(body["sound"] == true, "the store is damaged");
+            return Ok(());
+        }
+        Operation::Export { file, area } => {
+            let query = area.as_ref().map(|area| format!("?box={area}")).unwrap_or_default();
+            json!({ "bytes": service.download(&format!("export{query}"), file, 0o644)? })
+        }
+        Operation::Backup { file } => json!({ "bytes": service.download("backup", file, 0o600)? }),
+        Operation::Import { file } => service.import(file)?,
+        Operation::Rollback { epoch } => service.post("rollback", &json!({ "epoch": epoch }))?,
+        Operation::Revoke { contributor: Some(contributor), .. } => {
+            service.post("revoke", &json!({ "contributor": contributor }))?
+        }
+        Operation::Revoke { upload, .. } => service.post("revoke", &json!({ "upload": upload }))?,
+        Operation::Compact { before } => service.post("settle", &json!({ "before": before }))?,
+    };
+    show(&body, json, |body| println!("{body:#}"))
+}
+
+fn show(body: &Value, json: bool, people: impl FnOnce(&Value)) -> anyhow::Result<()> {
+    if json {
+        println!("{}", serde_json::to_string(body)?);
+    } else {
+        people(body);
+    }
+    Ok(())
+}
+
+fn history(body: &Value) {
+    for event in body["events"].as_array().into_iter().flatten() {
+        let (first, last, date) =
+            (&event["first"], &event["last"], event["date"].as_str().unwrap_or_default());
+        let kind = event["kind"].as_str().unwrap_or_default().replace('_', " ");
+        let epochs = if first == last { last.to_string() } else { format!("{first}-{last}") };
+        let told = if event["uploads"].is_u64() {
+            format!("{} {kind} of {} contributors", event["uploads"], event["contributors"])
+        } else if event["tiles"].is_u64() {
+            format!("{kind} of {} tiles, file {}", event["tiles"], event["file"].as_str().unwrap_or_default())
+        } else {
+            match &event["of"] {
+                Value::Null => kind,
+                Value::String(of) => format!("{kind} {of}"),
+                of => format!("{kind} {of}"),
+            }
+        };
+        let back = [("taken_back", "taken back"), ("takes_back", "taken back by it")];
+        let back = back.iter().find_map(|(key, words)| Some((event[*key].as_u64()?, words)));
+        let back = back.filter(|(count, _)| *count > 0).map(|(count, words)| format!("; {count} {words}"));
+        println!("{epochs:>15}  {date}  {told}{}", back.unwrap_or_default());
+    }
+}
+
+fn diff(body: &Value) {
+    let cells =
+        |of: &Value| format!("{} added, {} removed, {} changed", of["added"], of["removed"], of["changed"]);
+    println!("{} tiles differ; cells: {}", body["tiles_changed"], cells(&body["cells"]));
+    for tile in body["tiles"].as_array().into_iter().flatten() {
+        println!("  {}: {}", tile["id"].as_str().unwrap_or_default(), cells(tile));
+    }
+}
+
+/// The HTTP port of a service.
+struct Service {
+    agent: ureq::Agent,
+    root: String,
+}
+
+impl Service {
+    fn at(http: &str) -> Self {
+        let config = ureq::Agent::config_builder()
+            .timeout_global(Some(WITHIN))
+            // A refusal with a reason is an answer, too.
+            .http_status_as_error(false);
+        let root = format!("{}/api/v1/map", http.trim_end_matches('/'));
+        Self { agent: config.build().into(), root }
+    }
+
+    fn get(&self, path: &str) -> anyhow::Result<Value> {
+        let url = format!("{}/{path}", self.root);
+        read(&url, self.agent.get(&url).call())
+    }
+
+    fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
+        let url = format!("{}/{path}", self.root);
+        read(&url, self.agent.post(&url).send_json(body))
+    }
+
+    fn import(&self, file: &Path) -> anyhow::Result<Value> {
+        let url = format!("{}/import", self.root);
+        let opened = File::open(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let request = self.agent.post(&url).header("content-type", "application/octet-stream");
+        read(&url, request.send(SendBody::from_owned_reader(BufReader::new(opened))))
+    }
+
+    /// Writes an answer to a new file, which is removed again unless all of it came.
+    fn download(&self, path: &str, file: &Path, mode: u32) -> anyhow::Result<u64> {
+        let url = format!("{}/{path}", self.root);
+        let mut answer = answered(&url, self.agent.get(&url).call())?;
+        let writing = || format!("cannot write {}", file.display());
+        let mut out =
+            OpenOptions::new().create_new(true).write(true).mode(mode).open(file).with_context(writing)?;
+        let copied = io::copy(&mut answer.body_mut().as_reader(), &mut out).and_then(|bytes| {
+            out.sync_all()?;
+            Ok(bytes)
+        });
+        if copied.is_err() {
+            // Half of it is worse than nothing.
+            let _ = std::fs::remove_file(file);
+        }
+        copied.with_context(|| format!("{url} did not send all of it to {}", file.display()))
+    }
+}
+
+fn read(url: &str, answer: Result<Response<Body>, ureq::Error>) -> anyhow::Result<Value> {
+    let mut answer = answered(url, answer)?;
+    answer.body_mut().read_json().with_context(|| format!("{url} did not answer with JSON"))
+}
+
+/// An answer that is no refusal.
+fn answered(url: &str, answer: Result<Response<Body>, ureq::Error>) -> anyhow::Result<Response<Body>> {
+    let mut answer = answer.with_context(|| {
+        format!("no service answers at {url}; is it running there? Start one with `echofix serve`")
+    })?;
+    if answer.status().is_success() {
+        return Ok(answer);
+    }
+    let status = answer.status();
+    let body: Option<Value> = answer.body_mut().read_json().ok();
+    match body.as_ref().and_then(|body| body["error"]["message"].as_str()) {
+        Some(reason) => bail!("the service refuses: {reason}"),
+        None => bail!("{url} answers {status}"),
+    }
+}

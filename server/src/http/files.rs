@@ -1,0 +1,245 @@
+//! The map as files: regions out and in, backups.
+
+use std::io::{self, BufWriter, Read, Write};
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::{Body, BodyDataStream};
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, Request, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use echofix_core::geo::{Grid, TileId};
+use serde::Deserialize;
+use serde_json::json;
+use tokio::sync::mpsc;
+use tokio_stream::StreamExt;
+use tokio_stream::wrappers::ReceiverStream;
+
+use super::App;
+use super::error::Error;
+use super::operations::work;
+use super::raster::corners;
+use crate::store::{self, MapStore, Operations, Region};
+
+/// Bytes handed on at a time.
+const CHUNK: usize = 64 << 10;
+/// Chunks on the way.
+const CHUNKS: usize = 16;
+/// Bytes of an imported file, at most.
+const MAX_IMPORT: u64 = 4 << 30;
+const BINARY: &str = "application/octet-stream";
+
+/// `?box=west,south,east,north`
+#[derive(Deserialize)]
+pub struct Area {
+    r#box: Option<String>,
+}
+
+/// `GET /api/v1/map/export?box=`
+pub async fn export(
+    State(app): State<Arc<App>>,
+    area: Result<Query<Area>, QueryRejection>,
+) -> Result<Response, Error> {
+    let bounds = area?.0.r#box.as_deref().map_or(Ok([-180.0, -90.0, 180.0, 90.0]), bounds)?;
+    let store = Arc::clone(&app.state.store);
+    let tiles = app.places.work(move || inside(&*store, bounds)).await?;
+    if tiles.is_empty() {
+        return Err(Error::NotFound("there is no map in this box".to_owned()));
+    }
+    let region = Region { bounds_deg: bounds, tiles };
+    streamed(&app, BINARY, "echofix-region.efx", move |operations, out| operations.export(&region, out))
+}
+
+/// `GET /api/v1/map/backup`
+pub async fn backup(State(app): State<Arc<App>>) -> Result<Response, Error> {
+    streamed(&app, "application/x-tar", "echofix-backup.tar", |operations, out| operations.backup(out))
+}
+
+/// `POST /api/v1/map/import`
+pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Response, Error> {
+    // A page elsewhere may not send this type without being allowed to.
+    if request.headers().get(header::CONTENT_TYPE).is_none_or(|kind| kind != BINARY) {
+        return Err(Error::BadRequest(format!("send the file as {BINARY}")));
+    }
+    let (sender, receiver) = mpsc::channel(CHUNKS);
+    let sending = send(request.into_body().into_data_stream(), sender);
+    let importing = work(&app, move |operations| {
+        let mut file = Received { receiver, rest: Bytes::new(), left: MAX_IMPORT };
+        Ok(operations.import(&mut file)?)
+    });
+    let (imported, ()) = tokio::join!(importing, sending);
+    let imported = imported?;
+    let body = json!({
+        "file": imported.file.to_string(),
+        "tiles": imported.tiles,
+        "known": imported.known,
+        "epoch": imported.epoch,
+    });
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
+}
+
+async fn send(mut body: BodyDataStream, sender: mpsc::Sender<io::Result<Bytes>>) {
+    while let Some(chunk) = body.next().await {
+        let chunk = chunk.map_err(|error| io::Error::other(error.to_string()));
+        // Nobody listens any more once the import has failed.
+        if sender.send(chunk).await.is_err() {
+            return;
+        }
+    }
+}
+
+/// A body that is read in blocking work.
+struct Received {
+    receiver: mpsc::Receiver<io::Result<Bytes>>,
+    rest: Bytes,
+    left: u64,
+}
+
+impl Read for Received {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while self.rest.is_empty() {
+            match self.receiver.blocking_recv() {
+                Some(chunk) => self.rest = chunk?,
+                None => return Ok(0),
+            }
+            let larger = || io::Error::other(format!("the file is larger than {MAX_IMPORT} bytes"));
+            self.left = self.left.checked_sub(self.rest.len() as u64).ok_or_else(larger)?;
+        }
+        let count = out.len().min(self.rest.len());
+        out[..count].copy_from_slice(&self.rest.split_to(count));
+        Ok(count)
+    }
+}
+
+/// A file that is sent while it is made. When making it fails, the connection breaks: nobody takes half a
+/// file for a whole one.
+fn streamed(
+    app: &App,
+    kind: &'static str,
+    name: &str,
+    make: impl FnOnce(&dyn Operations, &mut dyn Write) -> Result<u64, store::Error> + Send + 'static,
+) -> Result<Response, Error> {
+    let (sender, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
+    let operations = Arc::clone(&app.state.operations);
+    let place = app.places.operate()?;
+    tokio::task::spawn_blocking(move || {
+        let _held = place;
+        let mut out = BufWriter::with_capacity(CHUNK, Sending(sender.clone()));
+        let made = make(&*operations, &mut out).map(|_| ());
+        if let Err(error) = made.map_err(|error| error.to_string()).and_then(|()| flushed(out)) {
+            tracing::warn!(error, "a file was not sent whole");
+            // The reader may be gone.
+            let _ = sender.blocking_send(Err(io::Error::other(error)));
+        }
+    });
+    let disposition = format!("attachment; filename=\"{name}\"");
+    let headers = [
+        (header::CONTENT_TYPE, kind.to_owned()),
+        (header::CONTENT_DISPOSITION, disposition),
+        (header::CACHE_CONTROL, "no-store".to_owned()),
+    ];
+    Ok((headers, Body::from_stream(ReceiverStream::new(receiver))).into_response())
+}
+
+fn flushed(mut out: BufWriter<Sending>) -> Result<(), String> {
+    out.flush().map_err(|error| error.to_string())
+}
+
+struct Sending(mpsc::Sender<io::Result<Bytes>>);
+
+impl Write for Sending {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
+        self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes))).map_err(gone)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// West, south, east, north, degrees.
+fn bounds(text: &str) -> Result<[f64; 4], Error> {
+    let told = || {
+        Error::BadRequest(
+            "box must be west,south,east,north in degrees, not crossing the date line".to_owned(),
+        )
+    };
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    let bounds: [f64; 4] = numbers.ok().and_then(|numbers| numbers.try_into().ok()).ok_or_else(told)?;
+    let [west, south, east, north] = bounds;
+    let sound = (-180.0..=180.0).contains(&west)
+        && (-180.0..=180.0).contains(&east)
+        && (-90.0..=90.0).contains(&south)
+        && (-90.0..=90.0).contains(&north);
+    if sound && west <= east && south <= north { Ok(bounds) } else { Err(told()) }
+}
+
+/// The tiles that touch a box.
+fn inside(store: &dyn MapStore, [west, south, east, north]: [f64; 4]) -> Result<Vec<TileId>, Error> {
+    let all = i32::MIN..=i32::MAX;
+    let mut tiles = Vec::new();
+    for zone in store.zones() {
+        let grid = Grid::new(zone)?;
+        for info in store.catalog(zone, all.clone(), all.clone())? {
+            let corners = corners(&grid, [info.id.x, info.id.y], [info.id.x, info.id.y])?;
+            let span = |of: fn(&echofix_core::geo::LatLon) -> f64| {
+                let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
+                (low, corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max))
+            };
+            let (lat, lon) = (span(|at| at.lat_deg), span(|at| at.lon_deg));
+            if lat.1 >= south && lat.0 <= north && lon.1 >= west && lon.0 <= east {
+                tiles.push(info.id);
+            }
+        }
+    }
+    Ok(tiles)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::testing::{Kept, bytes_of, json_of};
+
+    #[tokio::test]
+    async fn a_region_goes_out_of_one_map_and_into_another() {
+        let (here, there) = (Kept::with_uploads(5).await, Kept::with_uploads(0).await);
+        let file = bytes_of(here.get("/api/v1/map/export").await).await;
+        let response = there.send("/api/v1/map/import", BINARY, file.to_vec()).await;
+        assert_eq!(response.status(), 200);
+        let imported = json_of(response).await;
+        assert_eq!((&imported["known"], &imported["epoch"]), (&json!(0), &imported["tiles"]));
+        there.caught_up().await;
+        let tiles = |body: serde_json::Value| body["totals"].clone();
+        let (ours, theirs) = (
+            tiles(json_of(here.get("/api/v1/map").await).await),
+            tiles(json_of(there.get("/api/v1/map").await).await),
+        );
+        assert_eq!((&ours["tiles"], &ours["cells"]), (&theirs["tiles"], &theirs["cells"]));
+        let half = there.send("/api/v1/map/import", BINARY, file[..file.len() / 2].to_vec()).await;
+        assert_eq!(half.status(), 400);
+    }
+
+    #[tokio::test]
+    async fn a_box_is_checked_and_cuts() {
+        let site = Kept::with_uploads(5).await;
+        for (area, status) in [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 400), ("0,NaN,1,1", 400)] {
+            assert_eq!(site.get(&format!("/api/v1/map/export?box={area}")).await.status(), status, "{area}");
+        }
+        let whole = bytes_of(site.get("/api/v1/map/export").await).await;
+        let part = bytes_of(site.get("/api/v1/map/export?box=-180,-1,180,1").await).await;
+        assert!(part.len() < whole.len(), "the tiles far in the south are left out");
+    }
+
+    #[tokio::test]
+    async fn a_backup_is_a_whole_archive() {
+        let site = Kept::with_uploads(3).await;
+        let response = site.get("/api/v1/map/backup").await;
+        assert_eq!(response.headers()["content-type"], "application/x-tar");
+        let archive = bytes_of(response).await;
+        assert!(archive.starts_with(b"key\0") && archive.ends_with(&[0; 1024]));
+    }
+}

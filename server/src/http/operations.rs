@@ -1,0 +1,287 @@
+//! The map's history, and what operators decide about it.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::rejection::{JsonRejection, QueryRejection};
+use axum::extract::{Query, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use uuid::Uuid;
+
+use super::App;
+use super::catalog::told;
+use super::day::{iso_date, parse_date};
+use super::error::Error;
+use crate::store::{Decision, Event, Operations, TileDiff, What};
+
+/// Tiles of a difference that are told one by one, at most.
+const MAX_TILES: usize = 10_000;
+/// Events told at most.
+const MAX_EVENTS: usize = 10_000;
+
+/// `?limit=`
+#[derive(Deserialize)]
+pub struct Limit {
+    limit: Option<usize>,
+}
+
+/// `GET /api/v1/map/history?limit=`, newest first
+pub async fn history(
+    State(app): State<Arc<App>>,
+    limit: Result<Query<Limit>, QueryRejection>,
+) -> Result<Response, Error> {
+    let limit = limit?.0.limit.unwrap_or(100);
+    if !(1..=MAX_EVENTS).contains(&limit) {
+        return Err(Error::BadRequest(format!("limit must lie within 1 and {MAX_EVENTS}")));
+    }
+    let events = work(&app, move |operations| Ok(operations.history(limit))).await?;
+    let events: Vec<_> = events.iter().map(event).collect();
+    Ok(fresh(json!({ "events": events })))
+}
+
+fn event(event: &Event) -> Value {
+    let mut body = json!({ "first": event.first, "last": event.last, "date": iso_date(event.day) });
+    let rest = match event.what {
+        What::Uploads { uploads, contributors, taken_back } => json!({
+            "kind": "uploads", "uploads": uploads, "contributors": contributors, "taken_back": taken_back,
+        }),
+        What::Import { file, tiles, taken_back } => json!({
+            "kind": "import", "file": file.to_string(), "tiles": tiles, "taken_back": taken_back,
+        }),
+        What::Control { at_us, decision, takes_back } => {
+            let (kind, of) = match decision {
+                Decision::RevokeContributor => ("revoke_contributor", Value::Null),
+                Decision::RevokeUpload(id) => ("revoke_upload", id.to_string().into()),
+                Decision::Rollback(epoch) => ("rollback", epoch.into()),
+                Decision::Settle(last) => ("settle", last.into()),
+            };
+            json!({ "kind": kind, "of": of, "at_us": at_us, "takes_back": takes_back })
+        }
+    };
+    if let (Some(body), Value::Object(rest)) = (body.as_object_mut(), rest) {
+        body.extend(rest);
+    }
+    body
+}
+
+/// `?from=&to=`
+#[derive(Deserialize)]
+pub struct Span {
+    from: u64,
+    to: u64,
+}
+
+/// `GET /api/v1/map/diff?from=&to=`
+pub async fn diff(
+    State(app): State<Arc<App>>,
+    span: Result<Query<Span>, QueryRejection>,
+) -> Result<Response, Error> {
+    let Query(Span { from, to }) = span?;
+    let diffs = work(&app, move |operations| Ok(operations.diff(from, to)?)).await?;
+    let sum = |of: fn(&TileDiff) -> u32| diffs.iter().map(|diff| u64::from(of(diff))).sum::<u64>();
+    let cells =
+        json!({ "added": sum(|d| d.added), "removed": sum(|d| d.removed), "changed": sum(|d| d.changed) });
+    let one = |diff: &TileDiff| {
+        json!({
+            "id": diff.id.to_string(),
+            "added": diff.added,
+            "removed": diff.removed,
+            "changed": diff.changed,
+        })
+    };
+    let named: Vec<_> = diffs.iter().take(MAX_TILES).map(one).collect();
+    let body = json!({
+        "from": from,
+        "to": to,
+        "cells": cells,
+        "tiles_changed": diffs.len(),
+        "tiles": named,
+    });
+    Ok(fresh(body))
+}
+
+/// What is rolled back to.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rollback {
+    epoch: u64,
+}
+
+/// `POST /api/v1/map/rollback`
+pub async fn rollback(
+    State(app): State<Arc<App>>,
+    body: Result<Json<Rollback>, JsonRejection>,
+) -> Result<Response, Error> {
+    let Json(Rollback { epoch }) = body?;
+    decided(&app, move |operations| Ok(Some(operations.rollback(epoch)?))).await
+}
+
+/// What is revoked.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "snake_case")]
+pub enum Revoke {
+    /// All that a contributor told so far, by its pseudonym.
+    Contributor(String),
+    /// An upload or an imported file, by its id.
+    Upload(String),
+}
+
+/// `POST /api/v1/map/revoke`
+pub async fn revoke(
+    State(app): State<Arc<App>>,
+    body: Result<Json<Revoke>, JsonRejection>,
+) -> Result<Response, Error> {
+    let Json(revoke) = body?;
+    let work = move |operations: &dyn Operations| match revoke {
+        Revoke::Contributor(pseudonym) => Ok(operations.revoke_contributor(&pseudonym)?),
+        Revoke::Upload(id) => {
+            let told = |error| Error::BadRequest(format!("`{id}` is not a UUID: {error}"));
+            Ok(operations.revoke_upload(Uuid::try_parse(&id).map_err(told)?)?)
+        }
+    };
+    decided(&app, move |operations| work(operations).map(Some)).await
+}
+
+/// What is made final.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settle {
+    /// Uploads that came before this UTC date.
+    before: String,
+}
+
+/// `POST /api/v1/map/settle`
+pub async fn settle(
+    State(app): State<Arc<App>>,
+    body: Result<Json<Settle>, JsonRejection>,
+) -> Result<Response, Error> {
+    let Json(Settle { before }) = body?;
+    let told = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
+    let day = parse_date(&before).ok_or_else(told)?;
+    decided(&app, move |operations| Ok(operations.settle(day)?)).await
+}
+
+/// `?replay=`
+#[derive(Deserialize)]
+pub struct Replay {
+    #[serde(default)]
+    replay: bool,
+}
+
+/// `GET /api/v1/map/verify?replay=`
+pub async fn verify(
+    State(app): State<Arc<App>>,
+    replay: Result<Query<Replay>, QueryRejection>,
+) -> Result<Response, Error> {
+    let Query(Replay { replay }) = replay?;
+    let found = work(&app, move |operations| Ok(operations.verify(replay)?)).await?;
+    Ok(fresh(json!({
+        "sound": found.damage.is_empty(),
+        "records": found.records,
+        "base_tiles": found.base_tiles,
+        "tiles": found.tiles,
+        "compared": found.compared,
+        "damage": found.damage,
+    })))
+}
+
+/// A decision's epoch, absent when there was nothing to decide, and how far the map is.
+async fn decided(
+    app: &App,
+    decide: impl FnOnce(&dyn Operations) -> Result<Option<u64>, Error> + Send + 'static,
+) -> Result<Response, Error> {
+    let epoch = work(app, decide).await?;
+    let map = told(&app.state.store.progress().borrow());
+    Ok(fresh(json!({ "epoch": epoch, "map": map })))
+}
+
+/// Runs blocking work in a place of its own kind: it may take long, and pictures must not wait for it.
+pub async fn work<T: Send + 'static>(
+    app: &App,
+    work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    let operations = Arc::clone(&app.state.operations);
+    let place = app.places.operate()?;
+    tokio::task::spawn_blocking(move || {
+        // Held by the work, not by the request.
+        let _held = place;
+        work(&*operations)
+    })
+    .await?
+}
+
+fn fresh(body: Value) -> Response {
+    ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::http::testing::{Kept, json_of};
+    use serde_json::json;
+
+    #[tokio::test]
+    async fn history_is_told_and_decided_about() {
+        let site = Kept::with_uploads(6).await;
+        let answer = site.post("/api/v1/map/rollback", &json!({ "epoch": 4 })).await;
+        let body = json_of(answer).await;
+        assert_eq!((&body["epoch"], &body["map"]["journaled"]), (&json!(7), &json!(7)));
+        let upload = site.uploads[1].id.to_string();
+        assert_eq!(site.post("/api/v1/map/revoke", &json!({ "upload": upload })).await.status(), 200);
+        site.caught_up().await;
+        let history = json_of(site.get("/api/v1/map/history").await).await;
+        let kinds: Vec<_> = history["events"].as_array().unwrap().iter().map(|e| e["kind"].clone()).collect();
+        assert_eq!(kinds, ["revoke_upload", "rollback", "uploads"]);
+        assert_eq!(history["events"][2]["taken_back"], 3);
+        assert_eq!((&history["events"][0]["of"], &history["events"][1]["of"]), (&json!(upload), &json!(4)));
+
+        let diff = json_of(site.get("/api/v1/map/diff?from=6&to=8").await).await;
+        assert!(diff["cells"]["removed"].as_u64().unwrap() > 0 && diff["cells"]["added"] == 0, "{diff}");
+        assert_eq!(diff["tiles_changed"], diff["tiles"].as_array().unwrap().len());
+        let sound = json_of(site.get("/api/v1/map/verify?replay=true").await).await;
+        assert_eq!((&sound["sound"], &sound["records"]), (&json!(true), &json!(8)));
+        let settled =
+            json_of(site.post("/api/v1/map/settle", &json!({ "before": "2149-01-01" })).await).await;
+        assert_eq!(settled["epoch"], 9);
+    }
+
+    #[tokio::test]
+    async fn mistakes_are_told() {
+        let site = Kept::with_uploads(1).await;
+        for (path, body, status) in [
+            ("/api/v1/map/rollback", json!({ "epoch": 9 }), 404),
+            ("/api/v1/map/rollback", json!({ "epoch": -1 }), 400),
+            ("/api/v1/map/rollback", json!({}), 400),
+            ("/api/v1/map/revoke", json!({ "contributor": "nobody" }), 404),
+            ("/api/v1/map/revoke", json!({ "upload": "7" }), 400),
+            ("/api/v1/map/revoke", json!({ "car": "7" }), 400),
+            ("/api/v1/map/settle", json!({ "before": "2026-02-30" }), 400),
+        ] {
+            let response = site.post(path, &body).await;
+            assert_eq!(response.status(), status, "{path} {body}");
+            assert!(json_of(response).await["error"]["message"].is_string());
+        }
+        for (path, status) in [
+            ("/api/v1/map/history?limit=0", 400),
+            ("/api/v1/map/diff?from=0", 400),
+            ("/api/v1/map/diff?from=0&to=2", 404),
+            ("/api/v1/map/rollback", 405),
+        ] {
+            assert_eq!(site.get(path).await.status(), status, "{path}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_page_elsewhere_cannot_decide() {
+        // A browser sends these without asking first; JSON it asks for.
+        let site = Kept::with_uploads(2).await;
+        for path in ["rollback", "revoke", "settle", "import"] {
+            let path = format!("/api/v1/map/{path}");
+            let response = site.send(&path, "text/plain", br#"{"epoch": 1}"#.to_vec()).await;
+            assert_eq!(response.status(), 400, "{path}");
+        }
+        assert_eq!(json_of(site.get("/api/v1/map").await).await["journaled"], 2);
+    }
+}

@@ -1,0 +1,234 @@
+//! A new generation of tiles, made beside the one that is served.
+//!
+//! 1. What is to be settled is folded into a new base: written, synced, renamed.
+//! 2. The base and the journal after it are folded, without what the controls exclude, into a new
+//!    directory.
+//! 3. Tiles whose bytes are as they were keep their version; the others get the control's number.
+//! 4. The manifest names the new generation: from here on a restart serves it.
+//! 5. It is served, and then what nobody needs any more is deleted: the old generation, the old base, the
+//!    settled segments.
+//!
+//! A crash before step 4 leaves the old state and some files that the next start removes; one after it
+//! leaves only deletions to be done.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use echofix_core::tile::Ledger;
+
+use super::base::Base;
+use super::fold::replay;
+use super::generation::Generation;
+use super::manifest::Manifest;
+use super::shared::Shared;
+use super::{Building, Error, State};
+
+/// Steps after which a test stops.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Step {
+    BaseFolded,
+    BaseWritten,
+    Created,
+    Folded,
+    Flushed,
+    Published,
+    Served,
+}
+
+/// The generation that came of it.
+pub(super) struct Built {
+    pub(super) generation: Arc<Generation>,
+    /// The last control it was made under.
+    pub(super) applied: u64,
+    /// The last record it holds.
+    pub(super) folded: u64,
+}
+
+/// Makes a generation under the newest control and serves it. `None` when the end was called.
+pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
+    let applied = shared.index.newest_control();
+    let mut told = Told::new(shared, applied);
+    let Some(base) = settled_base(shared, applied, &mut told)? else { return Ok(None) };
+    let number = shared.dir.next_generation()?;
+    let path = shared.dir.generation(number);
+    let fresh = Generation::create(&path, number, shared.cache_bytes, shared.journal_id)?;
+    reached(shared, Step::Created)?;
+    let outcome = fill(shared, &fresh, &base, applied, &mut told);
+    let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
+        fresh.retire();
+        return Ok(None);
+    };
+    Manifest { journal: shared.journal_id, generation: number, applied }.write(shared.dir.root())?;
+    reached(shared, Step::Published)?;
+    let generation = Arc::new(fresh);
+    let before = shared.serve(Some(generation.clone()));
+    shared.progress.send_modify(|progress| {
+        progress.epoch = folded;
+        progress.state = State::Serving;
+        progress.building = None;
+    });
+    if let Some(before) = before {
+        before.retire();
+    }
+    reached(shared, Step::Served)?;
+    if let Err(error) = forget_settled(shared, base) {
+        tracing::error!(%error, "settled records could not be deleted; the next start does");
+    }
+    tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
+    Ok(Some(Built { generation, applied, folded }))
+}
+
+/// Deletes what a base stands for.
+pub(super) fn forget_settled(shared: &Shared, base: Base) -> Result<(), Error> {
+    let mut current = shared.base_mut();
+    let last = base.last;
+    shared.settled_uploads.store(base.uploads, Ordering::Relaxed);
+    *current = base;
+    shared.index.forget_up_to(last);
+    shared.journal.delete_up_to(last)?;
+    current.remove_others(shared.dir.root())
+}
+
+/// Folds base and journal into an empty generation. Returns the last record it holds; `None` when the
+/// end was called.
+fn fill(
+    shared: &Shared,
+    fresh: &Generation,
+    base: &Base,
+    applied: u64,
+    told: &mut Told<'_>,
+) -> Result<Option<u64>, Error> {
+    let index = &shared.index;
+    fresh.load(base)?;
+    let exclusion = index.exclusion(applied);
+    let mut folded = base.last;
+    loop {
+        // A later control takes a generation of its own.
+        let end = index.control_after(applied).map_or_else(|| index.newest(), |next| next - 1);
+        if folded >= end {
+            break;
+        }
+        folded = replay(&shared.journal, index, &mut &*fresh, folded, end, &exclusion, |at| told.at(at))?;
+        if index.ended() {
+            return Ok(None);
+        }
+    }
+    reached(shared, Step::Folded)?;
+    set_versions(fresh, shared.served().as_deref(), applied, folded)?;
+    fresh.tiles.flush()?;
+    reached(shared, Step::Flushed)?;
+    Ok(Some(folded))
+}
+
+/// A version stands for the same bytes wherever it was handed out: tiles that are as they were keep it,
+/// all others take the control's number.
+fn set_versions(
+    fresh: &Generation,
+    before: Option<&Generation>,
+    applied: u64,
+    folded: u64,
+) -> Result<(), Error> {
+    fresh.change_all(folded, |id, tile| {
+        let same = match before {
+            Some(before) => {
+                let (old, new) = (before.tiles.raw(id)?, fresh.tiles.raw(id)?);
+                old.zip(new).filter(|((_, old), (_, new))| old == new).map(|((version, _), _)| version)
+            }
+            None => None,
+        };
+        let version = same.unwrap_or_else(|| tile.version.max(applied));
+        Ok(std::mem::replace(&mut tile.version, version) != version)
+    })
+}
+
+/// The base that the controls up to `applied` ask for; made if need be. `None` when the end was called.
+fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Option<Base>, Error> {
+    let (root, index) = (shared.dir.root(), &shared.index);
+    let base = Base::newest(root, shared.journal_id)?;
+    if base.last < index.before() {
+        return Err(uncovered(index.before(), base.last));
+    }
+    let mut settles = index.settles_beyond(base.last);
+    settles.retain(|(number, _)| *number <= applied);
+    let Some((_, newest)) = settles.last().copied() else { return Ok(Some(base)) };
+    let scratch = Generation::create(&shared.dir.scratch(), 0, shared.cache_bytes, shared.journal_id)?;
+    // Its ledgers must not stay on disk.
+    scratch.retire();
+    scratch.load(&base)?;
+    let mut folded = base.last;
+    for (number, last) in settles {
+        // What was decided after a settlement does not change what was settled.
+        let exclusion = index.exclusion(number);
+        folded = replay(&shared.journal, index, &mut &scratch, folded, last, &exclusion, |at| told.at(at))?;
+        if index.ended() {
+            return Ok(None);
+        }
+        scratch.change_all(folded, |_, tile| {
+            tile.ledger = Ledger::default();
+            Ok(true)
+        })?;
+    }
+    reached(shared, Step::BaseFolded)?;
+    let uploads = base.uploads + index.uploads_up_to(newest);
+    let lost = || Error::Damaged { what: "the scratch tiles".to_owned(), reason: "one is gone".to_owned() };
+    let base = Base::write(root, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
+        scratch.tiles.raw(id)?.ok_or_else(lost)
+    })?;
+    reached(shared, Step::BaseWritten)?;
+    Ok(Some(base))
+}
+
+/// Settled records are gone and what stood for them, too.
+pub(super) fn uncovered(before: u64, base: u64) -> Error {
+    Error::Damaged {
+        what: "the base".to_owned(),
+        reason: format!(
+            "the journal begins after record {before} but the newest sound base ends at {base}. Restore the \
+             file base-{before} or a later one from a backup"
+        ),
+    }
+}
+
+/// Tells how far the building is.
+struct Told<'a> {
+    shared: &'a Shared,
+    control: u64,
+    last: Option<Instant>,
+}
+
+impl<'a> Told<'a> {
+    fn new(shared: &'a Shared, control: u64) -> Self {
+        Self { shared, control, last: None }
+    }
+
+    /// Called with the last record folded; false when the end was called.
+    fn at(&mut self, folded: u64) -> bool {
+        let of = self.shared.index.newest();
+        self.shared.progress.send_modify(|progress| {
+            progress.building = Some(Building { folded, of, control: self.control });
+            if progress.state == State::Rebuilding {
+                progress.epoch = folded;
+            }
+        });
+        if self.last.is_none_or(|last| last.elapsed() > Duration::from_secs(1)) {
+            tracing::info!(folded, of, control = self.control, "folding a new generation of the map");
+            self.last = Some(Instant::now());
+        }
+        !self.shared.index.ended()
+    }
+}
+
+#[cfg(not(test))]
+#[expect(clippy::unnecessary_wraps, reason = "fails where a test says so")]
+fn reached(_: &Shared, _: Step) -> Result<(), Error> {
+    Ok(())
+}
+
+#[cfg(test)]
+fn reached(shared: &Shared, step: Step) -> Result<(), Error> {
+    if *shared.fails_at.lock().unwrap() == Some(step) {
+        return Err(Error::Stopped(format!("the test stops at {step:?}")));
+    }
+    Ok(())
+}

@@ -1,0 +1,101 @@
+//! The thread that folds: records into the served generation, and new generations when a control asks
+//! for one.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::build::{self, Built};
+use super::fold::{caught, fold_group};
+use super::generation::Generation;
+use super::index::Next;
+use super::journal::Written;
+use super::shared::Shared;
+use super::{Error, State};
+
+/// How long folding rests after an error.
+const RETRY: Duration = Duration::from_secs(5);
+
+/// Where folding stands.
+pub(super) struct Folder {
+    /// `None` when there is no generation to fold on.
+    pub(super) on: Option<Arc<Generation>>,
+    /// The last control it was made under.
+    pub(super) applied: u64,
+    /// The last record it holds.
+    pub(super) folded: u64,
+}
+
+/// Folds until the end is called.
+pub(super) fn run(shared: &Shared, mut folder: Folder) {
+    let whole = shared.index.newest();
+    let mut told = Instant::now();
+    loop {
+        let outcome = folder.step(shared);
+        let rebuilding = shared.progress.borrow().state == State::Rebuilding;
+        match outcome {
+            Ok(false) => return,
+            Ok(true) if !rebuilding || folder.folded >= whole => shared.set_state(State::Serving),
+            Ok(true) => {}
+            Err(reason) => {
+                tracing::error!(reason, "folding failed; trying again");
+                if !rebuilding {
+                    shared.set_state(State::Stalled);
+                }
+                if !shared.index.pause(RETRY) {
+                    return;
+                }
+                folder.look_again(shared);
+            }
+        }
+        if folder.folded < whole && told.elapsed() > Duration::from_secs(1) {
+            tracing::info!(folded = folder.folded, journaled = whole, "folding the journal into tiles");
+            told = Instant::now();
+        }
+    }
+}
+
+impl Folder {
+    /// Does what is next, waiting for it. False at the end.
+    fn step(&mut self, shared: &Shared) -> Result<bool, String> {
+        let Some(on) = self.on.clone() else { return self.build(shared) };
+        match shared.index.next(self.folded, self.applied) {
+            None => Ok(false),
+            Some(Next::Build) => self.build(shared),
+            Some(Next::Records(group)) => {
+                let newest = group.last().map_or(self.folded, |written| written.number);
+                caught(|| fold(shared, &on, &group, newest))?;
+                self.folded = newest;
+                shared.progress.send_modify(|progress| progress.epoch = newest);
+                Ok(true)
+            }
+        }
+    }
+
+    fn build(&mut self, shared: &Shared) -> Result<bool, String> {
+        let built = caught(|| build::build(shared)).inspect_err(|_| {
+            shared.progress.send_modify(|progress| progress.building = None);
+        })?;
+        let Some(Built { generation, applied, folded }) = built else { return Ok(false) };
+        *self = Self { on: Some(generation), applied, folded };
+        Ok(true)
+    }
+
+    /// After a failure nobody knows what sled kept.
+    fn look_again(&mut self, shared: &Shared) {
+        let Some(on) = &self.on else { return };
+        match on.look_again() {
+            Ok(folded) => self.folded = folded,
+            Err(reason) => {
+                tracing::error!(reason, "the tiles cannot be used any more; folding new ones");
+                shared.set_state(State::Rebuilding);
+                shared.serve(None);
+                on.retire();
+                self.on = None;
+            }
+        }
+    }
+}
+
+fn fold(shared: &Shared, on: &Generation, group: &[Written], newest: u64) -> Result<(), Error> {
+    fold_group(&shared.journal, &mut &*on, group, newest)
+}

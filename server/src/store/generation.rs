@@ -1,0 +1,185 @@
+//! A generation of tiles: the map as folded under some controls.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::Duration;
+
+use echofix_core::geo::TileId;
+use echofix_core::tile;
+use uuid::Uuid;
+
+use super::base::Base;
+use super::canvas::{Folded, Source};
+use super::catalog::Catalog;
+use super::fold::caught;
+use super::tiles::{Tiles, Value};
+use super::{Error, io_error};
+
+/// Tiles written at once when many are.
+const BATCH: usize = 64;
+/// Attempts to remove a directory that sled's threads are just leaving.
+const REMOVALS: usize = 100;
+
+/// Tiles on disk and their catalog in memory.
+pub(super) struct Generation {
+    pub(super) number: u64,
+    pub(super) tiles: Tiles,
+    catalog: RwLock<Catalog>,
+    /// Declared last: goes when sled is closed.
+    dir: Dir,
+}
+
+struct Dir {
+    path: PathBuf,
+    retired: AtomicBool,
+}
+
+impl Drop for Dir {
+    fn drop(&mut self) {
+        if !self.retired.load(Ordering::Acquire) {
+            return;
+        }
+        for _ in 0..REMOVALS {
+            match fs::remove_dir_all(&self.path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                _ => return,
+            }
+        }
+        tracing::warn!(path = %self.path.display(), "old tiles could not be removed; the next start does");
+    }
+}
+
+impl Generation {
+    /// A new, empty generation; what is in its place is removed.
+    pub(super) fn create(path: &Path, number: u64, cache_bytes: u64, journal: Uuid) -> Result<Self, Error> {
+        match fs::remove_dir_all(path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(io_error("removing old tiles")(error));
+            }
+            _ => {}
+        }
+        let tiles = Tiles::open(path, cache_bytes)?;
+        tiles.set_journal(journal)?;
+        Ok(Self { number, tiles, catalog: RwLock::default(), dir: Dir::new(path) })
+    }
+
+    /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used. sled
+    /// panics on some damaged files: that is caught here.
+    pub(super) fn open(
+        path: &Path,
+        number: u64,
+        cache_bytes: u64,
+        journal: Uuid,
+    ) -> Result<(Self, u64), String> {
+        if !path.exists() {
+            return Err("they are gone".to_owned());
+        }
+        let (tiles, of) = caught(|| {
+            let tiles = Tiles::open(path, cache_bytes)?;
+            let of = tiles.journal()?;
+            Ok((tiles, of))
+        })?;
+        if of != Some(journal) {
+            return Err("they were folded from another journal".to_owned());
+        }
+        let (catalog, folded) = caught(|| Ok(tiles.check()))??;
+        Ok((Self { number, tiles, catalog: RwLock::new(catalog), dir: Dir::new(path) }, folded))
+    }
+
+    /// Fills an empty generation from a base.
+    pub(super) fn load(&self, base: &Base) -> Result<(), Error> {
+        let mut batch = Vec::with_capacity(BATCH);
+        base.visit(|id, version, encoded| {
+            let damaged = |error| Error::Damaged { what: format!("tile {id} of the base"), reason: error };
+            let tile = tile::decode(&encoded).map_err(|error| damaged(error.to_string()))?;
+            batch.push((id, Folded { version, tile, ..Folded::default() }));
+            if batch.len() == BATCH { self.put(batch.drain(..), base.last) } else { Ok(()) }
+        })?;
+        self.put(batch.drain(..), base.last)
+    }
+
+    /// Puts changed tiles in place; the generation goes up to the record `folded` with them.
+    pub(super) fn put(
+        &self,
+        changed: impl Iterator<Item = (TileId, Folded)>,
+        folded: u64,
+    ) -> Result<(), Error> {
+        let values: Vec<_> = changed.map(|(id, folded)| Value::new(id, &folded)).collect();
+        let infos: Vec<_> = values.iter().map(|value| value.info).collect();
+        let digest = self.catalog().digest_with(&infos);
+        self.tiles.put_all(values, folded, digest)?;
+        let mut catalog = self.catalog_mut();
+        for info in infos {
+            catalog.put(info);
+        }
+        Ok(())
+    }
+
+    /// Changes every tile.
+    pub(super) fn change_all(
+        &self,
+        folded: u64,
+        mut change: impl FnMut(TileId, &mut Folded) -> Result<bool, Error>,
+    ) -> Result<(), Error> {
+        for ids in self.ids().chunks(BATCH) {
+            let mut changed = Vec::new();
+            for id in ids {
+                let mut tile = self.tiles.folded(*id)?;
+                if change(*id, &mut tile)? {
+                    changed.push((*id, tile));
+                }
+            }
+            self.put(changed.into_iter(), folded)?;
+        }
+        Ok(())
+    }
+
+    /// Looks again at what is stored, after a failure that left it uncertain. Returns the last record.
+    pub(super) fn look_again(&self) -> Result<u64, String> {
+        let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
+        *self.catalog_mut() = catalog;
+        Ok(folded)
+    }
+
+    /// All tiles, in order.
+    pub(super) fn ids(&self) -> Vec<TileId> {
+        self.catalog().all().map(|info| info.id).collect()
+    }
+
+    /// Removes the directory once nobody reads it any more.
+    pub(super) fn retire(&self) {
+        self.dir.retired.store(true, Ordering::Release);
+    }
+
+    pub(super) fn catalog(&self) -> RwLockReadGuard<'_, Catalog> {
+        // A panic cannot leave the catalog half changed in a way that matters: it only counts.
+        self.catalog.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn catalog_mut(&self) -> RwLockWriteGuard<'_, Catalog> {
+        self.catalog.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Dir {
+    fn new(path: &Path) -> Self {
+        Self { path: path.to_owned(), retired: AtomicBool::new(false) }
+    }
+}
+
+impl Source for Generation {
+    fn folded(&self, id: TileId) -> Result<Folded, Error> {
+        self.tiles.folded(id)
+    }
+}
+
+impl Source for &Generation {
+    fn folded(&self, id: TileId) -> Result<Folded, Error> {
+        self.tiles.folded(id)
+    }
+}

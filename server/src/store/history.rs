@@ -1,0 +1,259 @@
+//! The map's past: what happened, how it looked, what changed.
+
+use std::collections::{BTreeMap, HashSet};
+
+use echofix_core::geo::TileId;
+use echofix_core::tile::{self, Tile};
+use uuid::Uuid;
+
+use super::canvas::{Folded, InMemory};
+use super::embedded::EmbeddedStore;
+use super::entry::Action;
+use super::fold::replay;
+use super::index::Kind;
+use super::{Error, TileInfo};
+
+/// Something that happened to the map, newest epochs first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Event {
+    /// The first record of it.
+    pub first: u64,
+    /// The last record of it: the epoch from which the map shows it.
+    pub last: u64,
+    /// UTC day it was written on, counted from the Unix epoch.
+    pub day: u16,
+    /// What happened.
+    pub what: What,
+}
+
+/// What happened.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum What {
+    /// Uploads came, one after the other on one day.
+    Uploads {
+        /// How many.
+        uploads: u64,
+        /// From how many contributors.
+        contributors: u64,
+        /// How many of them no longer count.
+        taken_back: u64,
+    },
+    /// Tiles of another map's file came.
+    Import {
+        /// The file's id.
+        file: Uuid,
+        /// How many tiles.
+        tiles: u64,
+        /// How many of them no longer count.
+        taken_back: u64,
+    },
+    /// An operator decided.
+    Control {
+        /// When, microseconds since the Unix epoch.
+        at_us: i64,
+        /// What was decided.
+        decision: Decision,
+        /// Uploads and imported tiles it takes back, for itself.
+        takes_back: u64,
+    },
+}
+
+/// What an operator may decide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Decision {
+    /// To take back what a contributor told. Its name is not kept, and its hash stays in the store.
+    RevokeContributor,
+    /// To take back an upload or an imported file.
+    RevokeUpload(Uuid),
+    /// To take back all after this epoch.
+    Rollback(u64),
+    /// To make final all up to this record.
+    Settle(u64),
+}
+
+/// A map of the past.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Snapshot {
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its tiles.
+    pub tiles: BTreeMap<TileId, Tile>,
+}
+
+/// How a tile of one map differs from the same of another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TileDiff {
+    /// Which tile.
+    pub id: TileId,
+    /// Occupied cells that only the later map has.
+    pub added: u32,
+    /// Occupied cells that only the earlier map has.
+    pub removed: u32,
+    /// Occupied cells that both have, and not with the same evidence.
+    pub changed: u32,
+}
+
+impl EmbeddedStore {
+    pub(super) fn events(&self, limit: usize) -> Vec<Event> {
+        let _base = self.shared.base();
+        let index = &self.shared.index;
+        let exclusion = index.exclusion(index.newest_control());
+        let controls: BTreeMap<_, _> = index.controls().into_iter().collect();
+        let mut runs = Runs::default();
+        index.visit(0..=index.newest(), |number, noted| {
+            runs.add(number, noted.day, noted.kind, exclusion.excludes(number, noted.kind));
+        });
+        let skipped = runs.events.len().saturating_sub(limit);
+        let mut events = runs.events.split_off(skipped);
+        for event in &mut events {
+            // Only the index knows what a control is about.
+            if let (What::Control { at_us, decision, takes_back }, Some(control)) =
+                (&mut event.what, controls.get(&event.first))
+            {
+                (*at_us, *decision) = (control.at_us, decided(control.action));
+                *takes_back = index.effect(event.first, control.action);
+            }
+        }
+        events.reverse();
+        events
+    }
+
+    pub(super) fn snapshot(&self, epoch: u64) -> Result<Snapshot, Error> {
+        // No record that is read here goes meanwhile.
+        let base = self.shared.base();
+        self.in_journal(epoch)?;
+        let index = &self.shared.index;
+        let mut map = InMemory::new();
+        base.visit(|id, version, encoded| {
+            let damaged = |error: tile::DecodeError| Error::Damaged {
+                what: format!("tile {id} of the base"),
+                reason: error.to_string(),
+            };
+            map.insert(
+                id,
+                Folded { version, tile: tile::decode(&encoded).map_err(damaged)?, ..Folded::default() },
+            );
+            Ok(())
+        })?;
+        let exclusion = index.exclusion(epoch);
+        replay(&self.shared.journal, index, &mut map, base.last, epoch, &exclusion, |_| !index.ended())?;
+        if index.ended() {
+            return Err(Error::Stopped("the store is being closed".to_owned()));
+        }
+        let tiles = map.into_iter().map(|(id, folded)| (id, folded.tile)).collect();
+        Ok(Snapshot { epoch, tiles })
+    }
+}
+
+impl Snapshot {
+    /// How the tiles of a later map differ from this one's, in order of their ids; equal ones are left
+    /// out.
+    #[must_use]
+    pub fn diff(&self, later: &Self) -> Vec<TileDiff> {
+        let nothing = Tile::default();
+        let mut ids: Vec<_> = self.tiles.keys().chain(later.tiles.keys()).copied().collect();
+        ids.sort_unstable();
+        ids.dedup();
+        let of = |snapshot: &'_ Self, id: &TileId| snapshot.tiles.get(id).unwrap_or(&nothing).clone();
+        let diffs = ids.into_iter().map(|id| compare(id, &of(self, &id), &of(later, &id)));
+        diffs.filter(|diff| diff.added + diff.removed + diff.changed > 0).collect()
+    }
+
+    /// The catalog's entries of a map of the past, as of its epoch.
+    #[must_use]
+    pub fn infos(&self) -> Vec<TileInfo> {
+        let info = |(id, tile): (&TileId, &Tile)| TileInfo {
+            id: *id,
+            version: self.epoch,
+            cells: tile.len() as u32,
+            newest_day: tile.newest_day(),
+            bytes: tile::encode(tile).len() as u32,
+        };
+        self.tiles.iter().map(info).collect()
+    }
+}
+
+fn compare(id: TileId, earlier: &Tile, later: &Tile) -> TileDiff {
+    let mut diff = TileDiff { id, added: 0, removed: 0, changed: 0 };
+    let mut old = earlier.cells().iter().peekable();
+    for (index, cell) in later.cells() {
+        while old.next_if(|(before, _)| before < index).is_some() {
+            diff.removed += 1;
+        }
+        match old.next_if(|(same, _)| same == index) {
+            Some((_, before)) => diff.changed += u32::from(before != cell),
+            None => diff.added += 1,
+        }
+    }
+    diff.removed += old.count() as u32;
+    diff
+}
+
+fn decided(action: Action) -> Decision {
+    match action {
+        Action::RevokeContributor(_) => Decision::RevokeContributor,
+        Action::RevokeUpload(id) => Decision::RevokeUpload(id),
+        Action::Rollback(epoch) => Decision::Rollback(epoch),
+        Action::Settle(last) => Decision::Settle(last),
+    }
+}
+
+/// Gathers records of one kind that follow each other.
+#[derive(Default)]
+struct Runs {
+    events: Vec<Event>,
+    contributors: HashSet<u64>,
+}
+
+impl Runs {
+    fn add(&mut self, number: u64, day: u16, kind: Kind, excluded: bool) {
+        let excluded = u64::from(excluded);
+        match (self.events.last_mut().filter(|event| event.day == day), kind) {
+            (
+                Some(Event { last, what: What::Uploads { uploads, contributors, taken_back }, .. }),
+                Kind::Upload { contributor },
+            ) => {
+                self.contributors.insert(contributor);
+                *contributors = self.contributors.len() as u64;
+                (*last, *uploads, *taken_back) = (number, *uploads + 1, *taken_back + excluded);
+            }
+            (
+                Some(Event { last, what: What::Import { file, tiles, taken_back }, .. }),
+                Kind::Import { file: of },
+            ) if *file == of => {
+                (*last, *tiles, *taken_back) = (number, *tiles + 1, *taken_back + excluded);
+            }
+            (_, kind) => {
+                let what = match kind {
+                    Kind::Upload { contributor } => {
+                        self.contributors = HashSet::from([contributor]);
+                        What::Uploads { uploads: 1, contributors: 1, taken_back: excluded }
+                    }
+                    Kind::Import { file } => What::Import { file, tiles: 1, taken_back: excluded },
+                    Kind::Control => What::Control { at_us: 0, decision: Decision::Settle(0), takes_back: 0 },
+                };
+                self.events.push(Event { first: number, last: number, day, what });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echofix_core::evidence::Cell;
+
+    #[test]
+    fn cells_are_told_apart() {
+        let cell = |hits| Cell { hits, ..Cell::default() };
+        let tile = |cells: &[(u32, u32)]| {
+            Tile::from_cells(cells.iter().map(|(index, hits)| (*index, cell(*hits))).collect()).unwrap()
+        };
+        let id = TileId { zone: echofix_core::geo::Zone::from_epsg(32614).unwrap(), y: 0, x: 0 };
+        let (earlier, later) = (tile(&[(1, 1), (2, 1), (5, 1), (9, 1)]), tile(&[(2, 1), (3, 1), (5, 2)]));
+        let diff = compare(id, &earlier, &later);
+        assert_eq!(diff, TileDiff { id, added: 1, removed: 2, changed: 1 });
+        let back = compare(id, &later, &earlier);
+        assert_eq!(back, TileDiff { id, added: 2, removed: 1, changed: 1 });
+    }
+}

@@ -1,0 +1,107 @@
+//! Is what is stored sound, and is the map what the journal says?
+
+use echofix_core::tile;
+
+use super::embedded::EmbeddedStore;
+use super::fold::unreadable;
+use super::generation::Generation;
+use super::{Error, entry};
+
+/// Attempts to read all tiles while none of them changes.
+const ATTEMPTS: usize = 5;
+
+/// What a verification found.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Verified {
+    /// Records of the journal that were read.
+    pub records: u64,
+    /// Tiles of the base that were read.
+    pub base_tiles: u64,
+    /// Tiles that were read.
+    pub tiles: u64,
+    /// Tiles that were compared with a replay; `None` when none was asked for.
+    pub compared: Option<u64>,
+    /// What is wrong, in words. Empty when all is well.
+    pub damage: Vec<String>,
+}
+
+impl EmbeddedStore {
+    pub(super) fn verified(&self, replay: bool) -> Result<Verified, Error> {
+        let mut found = Verified::default();
+        self.verify_journal(&mut found);
+        self.verify_base(&mut found);
+        let generation = self.shared.readable()?;
+        verify_tiles(&generation, &mut found);
+        if replay {
+            self.compare(&generation, &mut found)?;
+        }
+        Ok(found)
+    }
+
+    fn verify_journal(&self, found: &mut Verified) {
+        let base = self.shared.base();
+        let (mut at, mut reader) = (base.last, self.shared.journal.reader());
+        let newest = self.shared.index.newest();
+        while at < newest {
+            let group = self.shared.index.records(at, newest);
+            let Some(last) = group.last() else { return };
+            at = last.number;
+            for written in group {
+                let sound = reader.payload(written.at).and_then(|payload| {
+                    entry::decode(&payload).map(|_| ()).ok_or_else(|| unreadable(written.number))
+                });
+                found.records += 1;
+                found.damage.extend(sound.err().map(|error| error.to_string()));
+            }
+        }
+    }
+
+    fn verify_base(&self, found: &mut Verified) {
+        let mut tiles = 0;
+        let outcome = self.shared.base().visit(|id, _, encoded| {
+            tiles += 1;
+            let damaged = |error: tile::DecodeError| Error::Damaged {
+                what: format!("tile {id} of the base"),
+                reason: error.to_string(),
+            };
+            tile::decode(&encoded).map(|_| ()).map_err(damaged)
+        });
+        found.base_tiles = tiles;
+        found.damage.extend(outcome.err().map(|error| error.to_string()));
+    }
+
+    /// Tiles that change meanwhile are left out.
+    fn compare(&self, generation: &Generation, found: &mut Verified) -> Result<(), Error> {
+        let epoch = self.shared.progress.borrow().epoch;
+        let mut snapshot = self.snapshot(epoch)?;
+        let mut compared = 0;
+        for id in generation.ids() {
+            let replayed = snapshot.tiles.remove(&id);
+            let Some((version, encoded)) = generation.tiles.raw(id)?.filter(|(version, _)| *version <= epoch)
+            else {
+                continue;
+            };
+            compared += 1;
+            if replayed.is_none_or(|replayed| tile::encode(&replayed) != encoded) {
+                found.damage.push(format!("tile {id} in version {version} is not what the journal says"));
+            }
+        }
+        found.damage.extend(snapshot.tiles.keys().map(|id| format!("tile {id} is missing")));
+        found.compared = Some(compared);
+        Ok(())
+    }
+}
+
+fn verify_tiles(generation: &Generation, found: &mut Verified) {
+    let mut outcome = Ok(0);
+    for _ in 0..ATTEMPTS {
+        outcome = generation.tiles.check().map(|(catalog, _)| catalog.all().count() as u64);
+        if outcome.is_ok() {
+            break;
+        }
+    }
+    match outcome {
+        Ok(tiles) => found.tiles = tiles,
+        Err(reason) => found.damage.push(format!("the tiles: {reason}")),
+    }
+}
