@@ -6,12 +6,12 @@ use echofix_core::geo::TileId;
 use echofix_core::tile::{self, Tile};
 use uuid::Uuid;
 
+use super::Error;
 use super::canvas::{Folded, InMemory};
 use super::embedded::EmbeddedStore;
 use super::entry::Action;
 use super::fold::replay;
 use super::index::Kind;
-use super::{Error, TileInfo};
 
 /// Something that happened to the map, newest epochs first.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -157,19 +157,6 @@ impl Snapshot {
         let of = |snapshot: &'_ Self, id: &TileId| snapshot.tiles.get(id).unwrap_or(&nothing).clone();
         let diffs = ids.into_iter().map(|id| compare(id, &of(self, &id), &of(later, &id)));
         diffs.filter(|diff| diff.added + diff.removed + diff.changed > 0).collect()
-    }
-
-    /// The catalog's entries of a map of the past, as of its epoch.
-    #[must_use]
-    pub fn infos(&self) -> Vec<TileInfo> {
-        let info = |(id, tile): (&TileId, &Tile)| TileInfo {
-            id: *id,
-            version: self.epoch,
-            cells: tile.len() as u32,
-            newest_day: tile.newest_day(),
-            bytes: tile::encode(tile).len() as u32,
-        };
-        self.tiles.iter().map(info).collect()
     }
 }
 
