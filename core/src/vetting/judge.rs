@@ -25,13 +25,10 @@ pub struct Limits {
     pub sigma_yaw_rad: f64,
     /// Share of a part near which the map must have something, for the part to be placed by it.
     pub min_coverage: f64,
+    /// The same, for the map to tell that the part belongs elsewhere or nowhere.
+    pub known_coverage: f64,
     /// Score relative to a random shift's, below which a part is found nowhere.
     pub min_contrast: f64,
-    /// Share of a part near which the map must have something, for it to tell that the part belongs
-    /// elsewhere or nowhere.
-    pub known_coverage: f64,
-    /// Score relative to a random shift's that a place elsewhere must have.
-    pub known_contrast: f64,
     /// How parts are made and placed.
     pub probing: Probing,
 }
@@ -44,9 +41,8 @@ impl Default for Limits {
             sigma_m: 0.12,
             sigma_yaw_rad: 0.2_f64.to_radians(),
             min_coverage: 0.3,
-            min_contrast: 1.2,
             known_coverage: 0.9,
-            known_contrast: 1.35,
+            min_contrast: 1.35,
             probing: Probing::default(),
         }
     }
@@ -141,20 +137,23 @@ fn voice(at: &Placement, young: f64, limits: &Limits) -> Voice {
     let error = drawn(&at.error, &at.covariance, sigma);
     let excess = [error.x_m.hypot(error.y_m) / limits.shift_m, error.yaw_rad.abs() / limits.yaw_rad];
     let excess = excess.map(|e| e / young);
-    let found = Voice::Found { error, excess };
     let held = at.covariance.iter().all(|v| v.is_finite());
+    let fits = held && at.contrast >= limits.min_contrast;
+    let found = Voice::Found { error, excess };
     let known = at.coverage >= limits.known_coverage;
-    if held && excess.iter().all(|e| *e <= 1.0) && at.contrast >= limits.min_contrast {
-        return if at.coverage >= limits.min_coverage { found } else { Voice::None };
+    if excess.iter().all(|e| *e <= 1.0) {
+        return match (fits, known) {
+            (true, _) if at.coverage >= limits.min_coverage => found,
+            (false, true) if at.contrast < limits.min_contrast => Voice::Lost,
+            _ => Voice::None,
+        };
     }
-    if !known {
-        return Voice::None;
-    }
-    let clear = held && at.margin >= limits.probing.min_margin && at.contrast >= limits.known_contrast;
-    match (clear && !at.at_edge, at.contrast < limits.known_contrast || at.at_edge) {
-        (true, _) => found,
-        (false, true) => Voice::Lost,
-        (false, false) => Voice::None,
+    // The expected place was given up for another one: that tells something only where the map is known.
+    let clear = fits && !at.at_edge && at.margin >= limits.probing.min_margin;
+    match (known, clear) {
+        (false, _) => Voice::None,
+        (true, true) => found,
+        (true, false) => Voice::Lost,
     }
 }
 
@@ -172,14 +171,14 @@ fn together(probed: &[Probed]) -> Vetted {
     let (mut agree, mut lost, mut wrong) = (0, 0, [0, 0]);
     let mut errors = Vec::new();
     for Probed { placement, voice, .. } in probed {
-        let points = placement.map_or(0, |at| at.points);
+        let Some(Placement { points, error, .. }) = placement else { continue };
         match voice {
             Voice::None => {}
             Voice::Lost => lost += points,
             Voice::Found { excess: [shift, turn], .. } if *shift <= 1.0 && *turn <= 1.0 => agree += points,
-            Voice::Found { error, excess: [_, turn] } => {
+            Voice::Found { excess: [_, turn], .. } => {
                 wrong[usize::from(*turn > 1.0)] += points;
-                errors.push((*error, points));
+                errors.push((*error, *points));
             }
         }
     }
@@ -227,3 +226,6 @@ fn sum(a: &Pose2, b: &Pose2) -> Pose2 {
 fn heaviest(errors: &[(Pose2, usize)]) -> Option<Pose2> {
     errors.iter().max_by_key(|(_, points)| *points).map(|(error, _)| *error)
 }
+
+#[cfg(test)]
+mod tests;

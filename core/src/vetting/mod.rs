@@ -33,7 +33,9 @@ pub type Share<'a> = (TileId, &'a [CellHits]);
 
 /// The map that exists: what of it an upload is held against.
 pub trait MapSide {
-    /// A tile, prepared; `None` where the map has nothing.
+    /// A tile, prepared; `None` where the map has nothing, or nothing but what the upload's own contributor
+    /// told: who is held against himself is moved onto his own last upload's errors, and the map's frame walks off
+    /// from upload to upload (by half a metre in a town that one vehicle drove through).
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>>;
 
     /// What the tile's contributors were moved by; empty where the map has nothing.
