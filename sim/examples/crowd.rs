@@ -1,6 +1,8 @@
 //! Uploads of a crowd, vetted and moved onto the map: what fixes gain by it, and what vetting catches.
 //!
-//! `cargo run --release -p echofix-sim --example crowd -- fixes|alarms [seed...]`
+//! `cargo run --release -p echofix-sim --example crowd -- fixes [seed...]` compares maps folded as uploads come, vetted
+//! and moved, and made from exact poses (`DAYS=1`: each contributor on a day of his own; `ALARMS=1`: what vetting
+//! says of honest and of wrong uploads; `VERBOSE=1`: every quarantined one). `-- parts SEED` shows what parts measure.
 #![expect(clippy::print_stdout, reason = "printing is what this program is for")]
 #![expect(clippy::unwrap_used, reason = "a program for measuring, stopped by what it does not expect")]
 
@@ -147,7 +149,7 @@ fn town(seed: u64, contributors: usize) -> Town {
         }
         drive
     };
-    let days = |vehicle: usize| if std::env::var("DAYS").is_ok() { vehicle as u32 } else { 0 };
+    let days = |vehicle: usize| if std::env::var("DAYS").is_ok() { 4 + vehicle as u32 } else { 0 };
     let drives: Vec<_> =
         (0..contributors).map(|v| drive(days(v), &Route::survey(&city, number(v)), number(v))).collect();
     let localized = drive(3, &Route::survey(&city, number(0)), number(999));
@@ -253,7 +255,7 @@ fn questions(town: &Town, most: usize) -> Vec<(Pose2, Batch)> {
 }
 
 /// Errors of fixes, metres and degrees: as found, less the mean of passes, less that of uploads.
-fn fixes(map: &Map, town: &Town, questions: &[(Pose2, Batch)], errors: [&mut Vec<(f64, f64)>; 3]) {
+fn fixes(map: &Map, town: &Town, questions: &[(Pose2, Batch)], errors: &mut [Vec<(f64, f64)>; 3]) {
     let mut aligner = Aligner::default();
     let (search, integrity) = (Search::default(), Integrity::default());
     let zone = town.grid.zone();
@@ -418,19 +420,21 @@ fn compare(seeds: &[u64]) {
         let (mut vetter, mut tally) = (Vetter::default(), Tally::default());
         for n in 1..=most {
             let drive = &town.drives[n - 1];
-            uploads(&town.grid, drive, n as u64, Wrong::Exact)
-                .iter()
-                .for_each(|u| exact.fold(u.pass, &u.tiles));
+            for upload in uploads(&town.grid, drive, n as u64, Wrong::Exact) {
+                exact.fold(upload.pass, &upload.tiles);
+            }
             let uploads = uploads(&town.grid, drive, n as u64, Wrong::No);
-            uploads.iter().for_each(|u| a.fold(u.pass, &u.tiles));
+            for upload in &uploads {
+                a.fold(upload.pass, &upload.tiles);
+            }
             grow(&mut b, &uploads, &mut vetter, &limits, &mut tally);
             if SIZES.contains(&n) {
                 let mut plain = [Vec::new(), Vec::new(), Vec::new()];
                 let mut aligned = plain.clone();
-                fixes(&a, &town, &questions, plain.each_mut());
-                fixes(&b, &town, &questions, aligned.each_mut());
+                fixes(&a, &town, &questions, &mut plain);
+                fixes(&b, &town, &questions, &mut aligned);
                 let mut ideal = [Vec::new(), Vec::new(), Vec::new()];
-                fixes(&exact, &town, &questions, ideal.each_mut());
+                fixes(&exact, &town, &questions, &mut ideal);
                 let ideal = ideal.into_iter().take(1);
                 for (k, more) in plain.into_iter().take(1).chain(aligned).chain(ideal).enumerate() {
                     errors.entry((n, k)).or_default().extend(more);
@@ -450,7 +454,9 @@ fn compare(seeds: &[u64]) {
         b.prepared.borrow_mut().clear();
         let began = cpu_ms();
         let ids: Vec<TileId> = b.tiles.keys().copied().collect();
-        ids.iter().for_each(|id| drop(b.weights(*id)));
+        for id in &ids {
+            drop(b.weights(*id));
+        }
         println!("  TileWeights {:.2} ms a tile, {} tiles", (cpu_ms() - began) / ids.len() as f64, ids.len());
         let began = cpu_ms();
         let all = uploads(&town.grid, &town.drives[0], 7, Wrong::No);
@@ -600,7 +606,7 @@ fn dump(seed: u64) {
                 upload.error.y_m,
                 upload.error.yaw_rad.to_degrees()
             );
-            show(&mut vetter, &map, &upload, &limits);
+            show(&mut vetter, &map, upload, &limits);
         }
     }
 }

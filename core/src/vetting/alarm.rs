@@ -103,7 +103,9 @@ fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
         if contributors(here, &group) < limits.contributors.max(1) {
             continue;
         }
-        group.iter().for_each(|member| taken[*member] = true);
+        for member in &group {
+            taken[*member] = true;
+        }
         alarms.extend(alarm(here, &group));
     }
     alarms

@@ -135,7 +135,9 @@ mod tests {
 
     fn summed(offsets: &[Offset]) -> Datum {
         let mut datum = Datum::default();
-        offsets.iter().for_each(|offset| datum.add(*offset));
+        for offset in offsets {
+            datum.add(*offset);
+        }
         datum
     }
 
