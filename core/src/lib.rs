@@ -18,6 +18,7 @@
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
 //! - [`align`]: `fast_global_align`, its engine, the refinement and the verdict.
+//! - [`vetting`]: does an upload agree with the map, and how far beside it does it lie?
 //!
 //! Frames: the map is UTM metres (`f64`), x east, y north; the body is x forward, y left; yaw is
 //! radians, counter-clockwise from east (of the grid inside this crate, see [`geo`]).
@@ -36,4 +37,5 @@ pub mod scan;
 mod sealed;
 pub mod tile;
 pub mod varint;
+pub mod vetting;
 pub mod window;

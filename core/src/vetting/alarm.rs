@@ -1,0 +1,220 @@
+//! Several contributors are quarantined in one place, and agree with each other: perhaps it is the map that is
+//! wrong, or the place has changed. Nothing follows by itself; an operator looks at it.
+
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+
+use super::Offset;
+use crate::geo::Zone;
+
+/// A quarantined upload.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quarantined {
+    /// The zone of its place.
+    pub zone: Zone,
+    /// Where it was, map metres.
+    pub place: [f64; 2],
+    /// By how much it lies beside the map; `None` when it shows something else than the map.
+    pub offset: Option<Offset>,
+    /// Keyed hash of its contributor's pseudonym.
+    pub contributor: u64,
+    /// UTC day, counted from the Unix epoch.
+    pub day: u16,
+}
+
+/// When quarantined uploads make an alarm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlarmLimits {
+    /// Distinct contributors, at least.
+    pub contributors: usize,
+    /// Distance from one of them, metres, that all of them keep.
+    pub within_m: f64,
+    /// Their shifts differ from that one's by no more than this, metres.
+    pub shift_m: f64,
+    /// Their turns differ from that one's by no more than this, radians.
+    pub yaw_rad: f64,
+}
+
+impl Default for AlarmLimits {
+    fn default() -> Self {
+        Self { contributors: 3, within_m: 100.0, shift_m: 0.3, yaw_rad: 0.5_f64.to_radians() }
+    }
+}
+
+/// What quarantined uploads agree on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// The map lies beside where they see it, by about this offset.
+    Shift(Offset),
+    /// They show something else than the map.
+    Changed,
+}
+
+/// Quarantined uploads that agree with each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Alarm {
+    /// The zone of its place.
+    pub zone: Zone,
+    /// The middle of the uploads' places, map metres.
+    pub place: [f64; 2],
+    /// What they agree on.
+    pub kind: Kind,
+    /// Distinct contributors.
+    pub contributors: usize,
+    /// Day of the first of the uploads, counted from the Unix epoch.
+    pub since: u16,
+}
+
+/// The alarms that quarantined uploads make, those of most contributors first; an upload belongs to one at most.
+/// Their order does not matter.
+#[must_use]
+pub fn alarms(quarantined: &[Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
+    let zones: BTreeSet<Zone> = quarantined.iter().map(|q| q.zone).collect();
+    let mut alarms = Vec::new();
+    for zone in zones {
+        let mut here: Vec<&Quarantined> = quarantined.iter().filter(|q| q.zone == zone).collect();
+        here.sort_by_key(|q| (q.place.map(f64::to_bits), q.contributor, q.day, q.offset));
+        alarms.extend(in_zone(&here, limits));
+    }
+    alarms.sort_by_key(|alarm| Reverse(alarm.contributors));
+    alarms
+}
+
+fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
+    let places: Vec<[f64; 2]> = here.iter().map(|q| q.place).collect();
+    // A tree is refused for more places than it can number.
+    let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&places) else { return Vec::new() };
+    let within = limits.within_m * limits.within_m;
+    let around = |seed: &&Quarantined| {
+        let near = tree.query(&seed.place).within::<SquaredEuclidean<f64>>(within).execute();
+        let mut group: Vec<usize> = near.into_iter().map(|n| n.item as usize).collect();
+        group.retain(|other| alike(seed, here[*other], limits));
+        group.sort_unstable();
+        group
+    };
+    let mut groups: Vec<Vec<usize>> = here.iter().map(around).collect();
+    groups.sort_by_key(|group| Reverse(contributors(here, group)));
+    let mut taken = vec![false; here.len()];
+    let mut alarms = Vec::new();
+    for mut group in groups {
+        group.retain(|member| !taken[*member]);
+        if contributors(here, &group) < limits.contributors.max(1) {
+            continue;
+        }
+        for member in &group {
+            taken[*member] = true;
+        }
+        alarms.extend(alarm(here, &group));
+    }
+    alarms
+}
+
+/// True when two uploads, near each other, may be quarantined for the same reason.
+fn alike(a: &Quarantined, b: &Quarantined, limits: &AlarmLimits) -> bool {
+    match (a.offset, b.offset) {
+        (None, None) => true,
+        (Some(a), Some(b)) => {
+            let (a, b) = (a.pose(), b.pose());
+            a.distance_m(&b) <= limits.shift_m && (a.yaw_rad - b.yaw_rad).abs() <= limits.yaw_rad
+        }
+        _ => false,
+    }
+}
+
+fn contributors(here: &[&Quarantined], group: &[usize]) -> usize {
+    group.iter().map(|member| here[*member].contributor).collect::<BTreeSet<_>>().len()
+}
+
+fn alarm(here: &[&Quarantined], group: &[usize]) -> Option<Alarm> {
+    let members = || group.iter().map(|member| here[*member]);
+    let count = group.len() as f64;
+    let place = [0, 1].map(|axis: usize| members().map(|q| q.place[axis]).sum::<f64>() / count);
+    let offsets: Vec<Offset> = members().filter_map(|q| q.offset).collect();
+    let mean = |part: fn(&Offset) -> i32| {
+        let sum: i64 = offsets.iter().map(|o| i64::from(part(o))).sum();
+        (sum / (offsets.len() as i64).max(1)) as i32
+    };
+    let kind = if offsets.is_empty() {
+        Kind::Changed
+    } else {
+        Kind::Shift(Offset {
+            east_mm: mean(|o| o.east_mm),
+            north_mm: mean(|o| o.north_mm),
+            yaw_urad: mean(|o| o.yaw_urad),
+        })
+    };
+    let first = members().next()?;
+    let since = members().map(|q| q.day).min().unwrap_or(first.day);
+    Some(Alarm { zone: first.zone, place, kind, contributors: contributors(here, group), since })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn upload(x: f64, offset_mm: Option<[i32; 2]>, contributor: u64, day: u16) -> Quarantined {
+        let offset = offset_mm.map(|[east_mm, north_mm]| Offset { east_mm, north_mm, yaw_urad: 0 });
+        let zone = Zone::from_epsg(32614).expect("a zone");
+        Quarantined { zone, place: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
+    }
+
+    fn found(quarantined: &[Quarantined]) -> Vec<Alarm> {
+        alarms(quarantined, &AlarmLimits::default())
+    }
+
+    #[test]
+    fn three_who_agree_make_an_alarm() {
+        let three = [
+            upload(0.0, Some([1000, 100]), 1, 20_003),
+            upload(60.0, Some([1100, 0]), 2, 20_001),
+            upload(30.0, Some([900, -100]), 3, 20_002),
+        ];
+        let [alarm] = found(&three)[..] else { panic!("one alarm: {:?}", found(&three)) };
+        assert_eq!((alarm.contributors, alarm.since), (3, 20_001));
+        assert_eq!(alarm.kind, Kind::Shift(Offset { east_mm: 1000, north_mm: 0, yaw_urad: 0 }));
+        assert!((alarm.place[0] - 600_030.0).abs() < 1e-9);
+        let reversed: Vec<_> = three.iter().rev().copied().collect();
+        assert_eq!(found(&reversed), [alarm]);
+    }
+
+    /// Catches: uploads counted instead of contributors, and offsets, distances or zones that are not compared.
+    #[test]
+    fn one_contributor_or_three_who_differ_make_none() {
+        let of_one: Vec<_> = (0..9).map(|day| upload(0.0, Some([1000, 0]), 1, day)).collect();
+        assert!(found(&of_one).is_empty());
+        let differ = [[1000, 0], [-1000, 0], [0, 1000]];
+        let differ: Vec<_> = (0..3).map(|i| upload(0.0, Some(differ[i]), i as u64, 1)).collect();
+        assert!(found(&differ).is_empty());
+        let far: Vec<_> = (0..3).map(|i| upload(150.0 * i as f64, None, i, 1)).collect();
+        assert!(found(&far).is_empty());
+        let mut turned: Vec<_> = (0..3).map(|i| upload(0.0, Some([0, 0]), i, 1)).collect();
+        assert_eq!(found(&turned).len(), 1);
+        turned[2].offset = Some(Offset { yaw_urad: 30_000, ..Offset::default() });
+        assert!(found(&turned).is_empty());
+        let mut zones: Vec<_> = (0..3).map(|i| upload(0.0, None, i, 1)).collect();
+        assert_eq!(found(&zones).len(), 1);
+        zones[0].zone = Zone::from_epsg(32615).expect("a zone");
+        assert!(found(&zones).is_empty());
+    }
+
+    /// Catches: uploads that show something else grouped with ones that are shifted, and groups that overlap.
+    #[test]
+    fn two_causes_are_two_alarms_and_the_larger_comes_first() {
+        let shifted = (0..3).map(|i| upload(10.0 * i as f64, Some([2000, 0]), i, 5));
+        let changed = (0..4).map(|i| upload(10.0 * i as f64, None, 10 + i, 4));
+        let both: Vec<_> = shifted.chain(changed).collect();
+        let alarms = found(&both);
+        assert_eq!(alarms.iter().map(|a| a.contributors).collect::<Vec<_>>(), [4, 3]);
+        assert_eq!((alarms[0].kind, alarms[0].since), (Kind::Changed, 4));
+        assert!(found(&[]).is_empty());
+    }
+
+    /// The tree must take many uploads of one place: a spammer's, say.
+    #[test]
+    fn many_uploads_of_one_place_are_indexed() {
+        let many: Vec<_> = (0..3000).map(|i| upload(0.0, None, i % 5, 1)).collect();
+        assert_eq!(found(&many).iter().map(|a| a.contributors).collect::<Vec<_>>(), [5]);
+    }
+}

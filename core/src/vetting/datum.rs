@@ -1,0 +1,203 @@
+//! What the contributors of a tile were moved by: how far the crowd says the map's georeference errs.
+
+use super::Offset;
+use crate::geo::{TILE_M, TileId, Zone};
+use crate::pose::Pose2;
+
+/// Bytes of an encoded datum.
+pub const BYTES: usize = 28;
+
+/// Offsets by which contributions to a tile were moved, at its centre, summed up. Sums are of integers:
+/// they come out the same in any order.
+///
+/// Who was moved by an offset holds the map to err by that offset; of all who contributed, the mean counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Datum {
+    /// Contributions that were counted, those that were not moved included.
+    pub passes: u32,
+    /// Sum of the shifts, millimetres east and north.
+    pub shift_mm: [i64; 2],
+    /// Sum of the turns, microradians.
+    pub yaw_urad: i64,
+}
+
+/// Bytes that are not a datum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a datum has {BYTES} bytes, not {found}")]
+pub struct DecodeError {
+    /// How many there were.
+    pub found: usize,
+}
+
+impl Datum {
+    /// Counts one more contribution, moved by `offset` at the tile's centre.
+    pub fn add(&mut self, offset: Offset) {
+        let one = Self {
+            passes: 1,
+            shift_mm: [offset.east_mm.into(), offset.north_mm.into()],
+            yaw_urad: offset.yaw_urad.into(),
+        };
+        self.merge(&one);
+    }
+
+    /// Adds what another one counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.passes = self.passes.saturating_add(other.passes);
+        for axis in 0..2 {
+            self.shift_mm[axis] = self.shift_mm[axis].saturating_add(other.shift_mm[axis]);
+        }
+        self.yaw_urad = self.yaw_urad.saturating_add(other.yaw_urad);
+    }
+
+    /// The mean offset: metres east and north, radians; `None` when nobody contributed.
+    #[must_use]
+    pub fn mean(&self) -> Option<Pose2> {
+        let mean = |sum: i64, unit: f64| sum as f64 * unit / f64::from(self.passes);
+        let [east, north] = self.shift_mm;
+        (self.passes > 0).then(|| Pose2::new(mean(east, 1e-3), mean(north, 1e-3), mean(self.yaw_urad, 1e-6)))
+    }
+
+    /// As bytes, little-endian.
+    #[must_use]
+    pub fn encode(&self) -> [u8; BYTES] {
+        let mut bytes = [0; BYTES];
+        bytes[..4].copy_from_slice(&self.passes.to_le_bytes());
+        let sums = [self.shift_mm[0], self.shift_mm[1], self.yaw_urad];
+        for (to, sum) in bytes[4..].chunks_exact_mut(8).zip(sums) {
+            to.copy_from_slice(&sum.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// From [`Datum::encode`]'s bytes.
+    ///
+    /// # Errors
+    /// When there are not [`BYTES`] of them.
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        let found = bytes.len();
+        let (passes, sums) = bytes.split_first_chunk::<4>().ok_or(DecodeError { found })?;
+        let (sums, rest) = sums.as_chunks::<8>();
+        let [east, north, yaw] = sums else { return Err(DecodeError { found }) };
+        if !rest.is_empty() {
+            return Err(DecodeError { found });
+        }
+        Ok(Self {
+            passes: u32::from_le_bytes(*passes),
+            shift_mm: [i64::from_le_bytes(*east), i64::from_le_bytes(*north)],
+            yaw_urad: i64::from_le_bytes(*yaw),
+        })
+    }
+}
+
+/// The mean offset at a place (map metres), interpolated between the centres of the four tiles around it;
+/// tiles without a datum are left out. Zero where there is none at all.
+///
+/// What lies at `place` on the map is really at `place` less this.
+#[must_use]
+pub fn mean_offset(zone: Zone, place: [f64; 2], datum: impl Fn(TileId) -> Datum) -> Pose2 {
+    let [u, v] = place.map(|c| c / TILE_M - 0.5);
+    let (column, row) = (u.floor(), v.floor());
+    let (fx, fy) = (u - column, v - row);
+    let (mut sum, mut weights) = ([0.0; 3], 0.0);
+    for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let id = TileId { zone, x: column as i32 + dx, y: row as i32 + dy };
+        let Some(mean) = datum(id).mean() else { continue };
+        let weight = [1.0 - fx, fx][dx as usize] * [1.0 - fy, fy][dy as usize];
+        for (sum, part) in sum.iter_mut().zip([mean.x_m, mean.y_m, mean.yaw_rad]) {
+            *sum += weight * part;
+        }
+        weights += weight;
+    }
+    if weights > 0.0 {
+        Pose2::new(sum[0] / weights, sum[1] / weights, sum[2] / weights)
+    } else {
+        Pose2::IDENTITY
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    fn offset() -> impl Strategy<Value = Offset> {
+        (-500..500_i32, -500..500_i32, -9000..9000_i32).prop_map(|(east_mm, north_mm, yaw_urad)| Offset {
+            east_mm,
+            north_mm,
+            yaw_urad,
+        })
+    }
+
+    fn id() -> TileId {
+        TileId { zone: Zone::from_epsg(32614).expect("a zone"), y: 100, x: 200 }
+    }
+
+    fn summed(offsets: &[Offset]) -> Datum {
+        let mut datum = Datum::default();
+        for offset in offsets {
+            datum.add(*offset);
+        }
+        datum
+    }
+
+    proptest! {
+        /// Catches: floating-point sums, and a merge that forgets a part.
+        #[test]
+        fn the_order_and_the_grouping_do_not_matter(mut offsets in prop::collection::vec(offset(), 0..20), cut in 0..20_usize) {
+            let forward = summed(&offsets);
+            offsets.reverse();
+            let cut = cut.min(offsets.len());
+            let mut merged = summed(&offsets[..cut]);
+            merged.merge(&summed(&offsets[cut..]));
+            prop_assert_eq!(forward, merged);
+            prop_assert_eq!(Datum::decode(&forward.encode()), Ok(forward));
+        }
+
+        #[test]
+        fn the_mean_is_the_mean(offsets in prop::collection::vec(offset(), 1..20)) {
+            let mean = summed(&offsets).mean().expect("there are some");
+            let n = offsets.len() as f64;
+            let by_hand = |part: fn(&Offset) -> i32| offsets.iter().map(|o| f64::from(part(o))).sum::<f64>() / n;
+            prop_assert!((mean.x_m * 1e3 - by_hand(|o| o.east_mm)).abs() < 1e-6);
+            prop_assert!((mean.y_m * 1e3 - by_hand(|o| o.north_mm)).abs() < 1e-6);
+            prop_assert!((mean.yaw_rad * 1e6 - by_hand(|o| o.yaw_urad)).abs() < 1e-6);
+        }
+
+        /// Catches: the nearest tile's mean instead of an interpolation, and wrong neighbours.
+        #[test]
+        fn the_interpolation_is_continuous_and_meets_the_centres(
+            offsets in prop::collection::vec(offset(), 25), x in 1.0..3.99_f64, y in 1.0..3.99_f64,
+        ) {
+            let tiles: BTreeMap<(i32, i32), Datum> =
+                (0..25).map(|i| ((i / 5, i % 5), summed(&offsets[i as usize..=i as usize]))).collect();
+            let datum = |at: TileId| tiles.get(&(at.y - 100, at.x - 200)).copied().unwrap_or_default();
+            let place = |x: f64, y: f64| [(200.0 + x) * TILE_M, (100.0 + y) * TILE_M];
+            let at = |x, y| mean_offset(id().zone, place(x, y), datum);
+            let (a, b) = (at(x, y), at(x + 1e-4, y + 1e-4));
+            prop_assert!(a.distance_m(&b) < 1e-3, "{:?} {:?}", a, b);
+            let centre = at(x.floor() + 0.5, y.floor() + 0.5);
+            let own = tiles[&(y as i32, x as i32)].mean().expect("it has one");
+            prop_assert!(centre.distance_m(&own) < 1e-6);
+        }
+    }
+
+    #[test]
+    fn tiles_without_a_datum_are_left_out() {
+        let mut datum = Datum::default();
+        datum.add(Offset { east_mm: 100, north_mm: 0, yaw_urad: 0 });
+        let [x, y] = id().origin();
+        let at =
+            |x, y| mean_offset(id().zone, [x, y], |at| if at == id() { datum } else { Datum::default() });
+        assert!((at(x + 40.0, y + 40.0).x_m - 0.1).abs() < 1e-9);
+        assert_eq!(at(x + 500.0, y), Pose2::IDENTITY);
+        assert_eq!(Datum::default().mean(), None);
+    }
+
+    #[test]
+    fn other_lengths_are_not_a_datum() {
+        for found in [0, 3, 4, 27, 29, 36] {
+            assert_eq!(Datum::decode(&vec![0; found]), Err(DecodeError { found }));
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! An upload's cells, moved onto the map.
+
+use std::collections::BTreeMap;
+
+use super::{Offsets, Share};
+use crate::evidence::{CellHits, OFFSET_STEPS};
+use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId};
+
+/// Moves cells by the offset at their place: each goes whole, with the mean place of its hits, into the cell
+/// where that place comes to lie, be it another tile's. Hits are conserved.
+#[must_use]
+pub fn moved(shares: &[Share], offsets: &Offsets) -> BTreeMap<TileId, Vec<CellHits>> {
+    let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
+    for (id, cells) in shares {
+        let first = id.first_cell();
+        for cell in cells.iter().filter(|cell| cell.hits > 0) {
+            let (to, hits) = shifted(first, cell, offsets);
+            let tile = TileId::of_cell(id.zone, to);
+            let corner = tile.first_cell();
+            let index = ((to.y - corner.y) * CELLS_PER_TILE as i64 + to.x - corner.x) as u32;
+            let empty = CellHits { index, hits: 0, offset_sum: [0, 0] };
+            let sum = tiles.entry(tile).or_default().entry(index).or_insert(empty);
+            sum.hits = sum.hits.saturating_add(hits.hits);
+            for axis in 0..2 {
+                sum.offset_sum[axis] = sum.offset_sum[axis].saturating_add(hits.offset_sum[axis]);
+            }
+        }
+    }
+    tiles.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
+}
+
+/// The cell that a cell's hits move to, and their offsets in it.
+fn shifted(first: CellIndex, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHits) {
+    let side = CELLS_PER_TILE as u32;
+    let from =
+        CellIndex { x: first.x + i64::from(cell.index % side), y: first.y + i64::from(cell.index / side) };
+    let steps = i64::from(OFFSET_STEPS);
+    let hits = i64::from(cell.hits);
+    let mean = cell.offset_sum.map(|sum| f64::from(sum) / f64::from(cell.hits) / f64::from(OFFSET_STEPS));
+    let place = [(from.x as f64 + mean[0]) * CELL_M, (from.y as f64 + mean[1]) * CELL_M];
+    let by = offsets.at(place);
+    let axis = |from: i64, sum: u32, by_m: f64| {
+        let by_steps = (by_m / CELL_M * f64::from(OFFSET_STEPS)).round() as i64;
+        let sum = i64::from(sum) + hits * by_steps;
+        let cells = sum.div_euclid(hits * steps);
+        // A mean less than a step from the next cell stays in this one.
+        (from + cells, (sum - cells * hits * steps).min(hits * (steps - 1)) as u32)
+    };
+    let (x, east) = axis(from.x, cell.offset_sum[0], by.x_m);
+    let (y, north) = axis(from.y, cell.offset_sum[1], by.y_m);
+    (CellIndex { x, y }, CellHits { offset_sum: [east, north], ..*cell })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo::Zone;
+    use crate::vetting::Offset;
+    use proptest::prelude::*;
+
+    fn id() -> TileId {
+        TileId { zone: Zone::from_epsg(32614).expect("a zone"), y: 64_000, x: 11_000 }
+    }
+
+    fn cells() -> impl Strategy<Value = Vec<CellHits>> {
+        let cell = (1..9_u32, 0..256_u32, 0..256_u32);
+        prop::collection::btree_map(0..512 * 512_u32, cell, 1..60).prop_map(|cells| {
+            let cell = |(index, (hits, x, y))| CellHits { index, hits, offset_sum: [hits * x, hits * y] };
+            cells.into_iter().map(cell).collect()
+        })
+    }
+
+    fn by(east_mm: i32, north_mm: i32, yaw_urad: i32) -> Offsets {
+        let [x, y] = id().origin();
+        let mut offsets = Offsets::default();
+        offsets.push([x + 25.0, y + 25.0], Offset { east_mm, north_mm, yaw_urad }, 1.0);
+        offsets
+    }
+
+    /// Hits, and the sum of their places in steps, counted from the tile's corner.
+    fn moments(tiles: &BTreeMap<TileId, Vec<CellHits>>) -> [i64; 3] {
+        let mut sums = [0; 3];
+        for (tile, cells) in tiles {
+            let (corner, zero) = (tile.first_cell(), id().first_cell());
+            for cell in cells {
+                let (column, row) = (i64::from(cell.index % 512), i64::from(cell.index / 512));
+                let hits = i64::from(cell.hits);
+                sums[0] += hits;
+                sums[1] += i64::from(cell.offset_sum[0]) + 256 * hits * (corner.x - zero.x + column);
+                sums[2] += i64::from(cell.offset_sum[1]) + 256 * hits * (corner.y - zero.y + row);
+            }
+        }
+        sums
+    }
+
+    proptest! {
+        /// Catches: cells lost or doubled at a tile's border, offsets cut off, hits forgotten where two cells
+        /// come to lie in one.
+        #[test]
+        fn hits_are_conserved_and_go_where_they_were_sent(
+            cells in cells(), east_mm in -900..900_i32, north_mm in -900..900_i32,
+        ) {
+            let before = BTreeMap::from([(id(), cells.clone())]);
+            let after = moved(&[(id(), &cells)], &by(east_mm, north_mm, 0));
+            let (a, b) = (moments(&before), moments(&after));
+            prop_assert_eq!(a[0], b[0]);
+            for (axis, mm) in [(1, east_mm), (2, north_mm)] {
+                let steps = (b[axis] - a[axis]) as f64 / a[0] as f64;
+                prop_assert!((steps - 2.56 * f64::from(mm)).abs() < 1.5, "{} {}", steps, mm);
+            }
+            for cells in after.values() {
+                prop_assert!(cells.windows(2).all(|w| w[0].index < w[1].index));
+                prop_assert!(cells.iter().all(|c| c.index < 512 * 512));
+                prop_assert!(cells.iter().all(|c| c.offset_sum.iter().all(|o| *o <= 255 * c.hits)));
+            }
+        }
+
+        #[test]
+        fn nothing_moves_without_an_offset(cells in cells()) {
+            prop_assert_eq!(moved(&[(id(), &cells)], &Offsets::default()), BTreeMap::from([(id(), cells)]));
+        }
+    }
+
+    #[test]
+    fn a_turn_moves_what_is_far_from_its_middle() {
+        let at = |x: u32, y: u32| CellHits { index: y * 512 + x, hits: 2, offset_sum: [256, 256] };
+        let after = moved(&[(id(), &[at(250, 250), at(450, 250)])], &by(0, 0, 10_000));
+        // 20 m east of the middle a turn by 0.01 is 20 cm north.
+        let places: Vec<_> = after[&id()].iter().map(|c| (c.index % 512, c.index / 512)).collect();
+        assert_eq!(places, [(250, 250), (450, 252)]);
+    }
+}

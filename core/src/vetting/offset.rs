@@ -1,0 +1,161 @@
+//! How far an upload lies beside the map.
+
+use crate::pose::Pose2;
+
+/// Distance at which a part of an upload counts half, metres.
+const REACH_M: f64 = 40.0;
+/// A turn is not carried farther than this from the middle of the part that it was measured in, metres.
+const ARM_M: f64 = 60.0;
+
+/// A shift and a turn, in whole millimetres and microradians: sums of them are exact and do not depend on
+/// their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, PartialOrd, Ord)]
+pub struct Offset {
+    /// Millimetres east.
+    pub east_mm: i32,
+    /// Millimetres north.
+    pub north_mm: i32,
+    /// Microradians, counter-clockwise.
+    pub yaw_urad: i32,
+}
+
+impl Offset {
+    /// From metres and radians, rounded.
+    #[must_use]
+    pub fn of(pose: &Pose2) -> Self {
+        let whole = |value: f64, unit: f64| (value * unit).round() as i32;
+        Self {
+            east_mm: whole(pose.x_m, 1e3),
+            north_mm: whole(pose.y_m, 1e3),
+            yaw_urad: whole(pose.yaw_rad, 1e6),
+        }
+    }
+
+    /// As metres and radians.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        Pose2::new(
+            f64::from(self.east_mm) * 1e-3,
+            f64::from(self.north_mm) * 1e-3,
+            f64::from(self.yaw_urad) * 1e-6,
+        )
+    }
+
+    /// Length of the shift, metres.
+    #[must_use]
+    pub fn shift_m(&self) -> f64 {
+        f64::from(self.east_mm).hypot(f64::from(self.north_mm)) * 1e-3
+    }
+}
+
+/// What is to be added to an upload's places so that they lie on the map: an offset for each of its parts,
+/// blended in between.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Offsets {
+    parts: Vec<Placed>,
+}
+
+/// An offset around a place, and what it counts for beside others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Placed {
+    middle: [f64; 2],
+    offset: Offset,
+    weight: f64,
+}
+
+impl Offsets {
+    /// Adds an offset measured around a place (map metres); it turns about that place. `weight` is what it
+    /// counts for beside others.
+    pub fn push(&mut self, middle: [f64; 2], offset: Offset, weight: f64) {
+        self.parts.push(Placed { middle, offset, weight });
+    }
+
+    /// True when nothing was measured, and nothing moves.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.parts.is_empty()
+    }
+
+    /// Number of parts that were measured.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// The offset at a place, map metres: how it shifts what is there, and how it turns it. Continuous.
+    #[must_use]
+    pub fn at(&self, [x, y]: [f64; 2]) -> Pose2 {
+        let (mut sum, mut weights) = ([0.0; 3], 0.0);
+        for part in &self.parts {
+            let (dx, dy) = (x - part.middle[0], y - part.middle[1]);
+            let squared = dx * dx + dy * dy;
+            let nearness = 1.0 / (1.0 + squared / (REACH_M * REACH_M));
+            let weight = part.weight * nearness * nearness;
+            let arm = ARM_M / squared.sqrt().max(ARM_M);
+            let by = part.offset.pose();
+            // Turns are small: less than a degree.
+            sum[0] += weight * (by.x_m - by.yaw_rad * dy * arm);
+            sum[1] += weight * (by.y_m + by.yaw_rad * dx * arm);
+            sum[2] += weight * by.yaw_rad;
+            weights += weight;
+        }
+        if weights > 0.0 {
+            Pose2::new(sum[0] / weights, sum[1] / weights, sum[2] / weights)
+        } else {
+            Pose2::IDENTITY
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn offsets() -> impl Strategy<Value = Offsets> {
+        let part = (
+            -200.0..200.0_f64,
+            -200.0..200.0_f64,
+            -500..500_i32,
+            -500..500_i32,
+            -9000..9000_i32,
+            0.1..5.0_f64,
+        );
+        prop::collection::vec(part, 1..5).prop_map(|parts| {
+            let mut offsets = Offsets::default();
+            for (x, y, east_mm, north_mm, yaw_urad, weight) in parts {
+                offsets.push([x, y], Offset { east_mm, north_mm, yaw_urad }, weight);
+            }
+            offsets
+        })
+    }
+
+    proptest! {
+        /// Catches: parts that end where the next begins (a nearest part, say), which would tear walls apart.
+        #[test]
+        fn the_offset_is_continuous(offsets in offsets(), x in -300.0..300.0_f64, y in -300.0..300.0_f64) {
+            let (a, b) = (offsets.at([x, y]), offsets.at([x + 0.01, y - 0.01]));
+            prop_assert!(a.distance_m(&b) < 2e-3, "{a:?} {b:?}");
+        }
+
+        /// Catches: weights that do not sum to one.
+        #[test]
+        fn parts_that_agree_are_one(x in -300.0..300.0_f64, y in -300.0..300.0_f64, count in 1..5_i32) {
+            let offset = Offset { east_mm: 120, north_mm: -80, yaw_urad: 0 };
+            let mut offsets = Offsets::default();
+            for i in 0..count {
+                offsets.push([f64::from(50 * i), 0.0], offset, f64::from(i + 1));
+            }
+            prop_assert_eq!(Offset::of(&offsets.at([x, y])), offset);
+        }
+    }
+
+    #[test]
+    fn a_turn_is_about_the_middle_of_its_part() {
+        let mut offsets = Offsets::default();
+        offsets.push([100.0, 50.0], Offset { east_mm: 0, north_mm: 0, yaw_urad: 10_000 }, 1.0);
+        let at = offsets.at([110.0, 50.0]);
+        assert!(at.x_m.abs() < 1e-9 && (at.y_m - 0.1).abs() < 1e-9 && (at.yaw_rad - 0.01).abs() < 1e-9);
+        assert_eq!(Offsets::default().at([1.0, 2.0]), Pose2::IDENTITY);
+    }
+}
