@@ -8,6 +8,7 @@
 //! - [`geo`]: WGS-84 to UTM and back, meridian convergence, scale factor, zones, tile ids.
 //! - [`scan`]: one radar's detections at one time, where the radar sits, which detections to keep.
 //! - [`odometry`]: the vehicle's relative trajectory, interpolated at scan times.
+//! - [`datum`]: how far a map's own georeference errs, as its contributors say.
 //! - [`drive`]: one recorded drive, as a value.
 //! - [`doppler`]: movers, the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
@@ -27,6 +28,7 @@ pub mod agreement;
 pub mod align;
 pub mod batch;
 pub mod contribution;
+pub mod datum;
 pub mod doppler;
 pub mod drive;
 pub mod evidence;

@@ -5,7 +5,9 @@
 use std::sync::Arc;
 
 use super::weights::{COARSE, TileWeights, mean};
+use crate::datum::mean_offset;
 use crate::geo::{CELLS_PER_TILE, TileId};
+use crate::pose::Pose2;
 use crate::window::Frame;
 
 /// Bytes beyond the last row, so that a strip that starts in the image can be read whole.
@@ -114,6 +116,15 @@ impl MapView {
     pub fn tile_below(&self, place: [f64; 2]) -> Option<&TileWeights> {
         let id = TileId::of(self.frame().zone, place);
         self.square().tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
+    }
+
+    /// How far the crowd says that the map errs at a place (map metres): metres east and north, radians.
+    #[must_use]
+    pub fn mean_offset(&self, place: [f64; 2]) -> Pose2 {
+        let tiles = &self.square().tiles;
+        mean_offset(self.frame().zone, place, |id| {
+            tiles.iter().find(|tile| tile.id == id).map(|tile| tile.datum).unwrap_or_default()
+        })
     }
 
     /// Passes over the cell of a typical hit: how many surveys the map here amounts to.

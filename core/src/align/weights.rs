@@ -7,6 +7,7 @@
 //! that every engine finds the same maximum.
 
 use crate::agreement::PointIndex;
+use crate::datum::Datum;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
 use crate::tile::Tile;
@@ -55,6 +56,8 @@ pub struct TileWeights {
     pub cells: usize,
     /// Last UTC day anything was seen in it, counted from the Unix epoch.
     pub newest_day: u16,
+    /// What its contributions were moved by.
+    pub datum: Datum,
     /// Hits weighted by the passes of their cells, and hits, of the tile itself.
     pub passes: [f64; 2],
 }
@@ -77,6 +80,7 @@ impl TileWeights {
             blocks: blocks(own),
             cells: own.len(),
             newest_day: own.newest_day(),
+            datum: own.datum(),
             passes: typical_passes(own.cells().iter().map(|(_, cell)| cell)),
         }
     }

@@ -6,10 +6,11 @@
 //!
 //! The frame holds LEB128 varints, one column after the other: a column's values resemble each
 //! other, so they pack better together than cell by cell. Indices are stored as distances, presences
-//! as what is missing from always; of blocks, only those that are not 0.
+//! as what is missing from always; of blocks, only those that are not 0. The datum comes last.
 
 use super::ledger::Votes;
 use super::{CELLS, Ledger, Tile};
+use crate::datum::Datum;
 use crate::evidence::codec::{blocks, put_blocks};
 use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
@@ -43,6 +44,10 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
     }
     put_sparse(&mut out, &tile.observed[..]);
     put_sparse(&mut out, &tile.support[..]);
+    out.put(u64::from(tile.datum.passes));
+    for sum in [tile.datum.shift_mm[0], tile.datum.shift_mm[1], tile.datum.yaw_urad] {
+        out.put_signed(sum);
+    }
     TILE.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
 }
 
@@ -88,6 +93,11 @@ fn tile(input: &mut Reader<'_>) -> Option<Tile> {
     let mut tile = Tile { cells: index.into_iter().zip(cells).collect(), ..Tile::default() };
     sparse(input, &mut tile.observed[..])?;
     sparse(input, &mut tile.support[..])?;
+    tile.datum = Datum {
+        passes: input.get()?,
+        shift_mm: [input.get_signed()?, input.get_signed()?],
+        yaw_urad: input.get_signed()?,
+    };
     input.finish()?;
     Some(tile)
 }

@@ -2,6 +2,7 @@
 
 use super::ledger::{CellNews, News};
 use super::{Ledger, Tile};
+use crate::datum::Offset;
 use crate::evidence::{Cell, CellHits, Pass, Share, presence, view_block};
 
 impl Tile {
@@ -11,6 +12,14 @@ impl Tile {
     /// present; one that fades altogether is dropped. The share's cells must be in order of their
     /// index, as [`crate::evidence::Contribution`] holds them.
     pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share) {
+        self.fold_moved(ledger, pass, share, Offset::default());
+    }
+
+    /// The same with a share that was moved onto the map, by `offset` at the tile's centre.
+    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share, offset: Offset) {
+        if !ledger.knows(pass) {
+            self.datum.add(offset);
+        }
         let news = ledger.record(pass, share);
         for block in news.observed.iter() {
             self.observed[block] = self.observed[block].saturating_add(1);

@@ -71,6 +71,12 @@ impl Ledger {
         News { cells, observed, supported }
     }
 
+    /// Has the pass said something already?
+    #[must_use]
+    pub fn knows(&self, pass: Pass) -> bool {
+        self.passes.contains_key(&pass)
+    }
+
     /// Depends on the votes alone, so that folding again from nothing gives the same ledger.
     fn close_oldest(&mut self, max_votes: usize) {
         if let Some((newest, _)) = self.passes.last_key_value() {

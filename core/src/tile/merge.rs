@@ -30,6 +30,7 @@ impl Tile {
         for (ours, theirs) in merged.support.iter_mut().zip(theirs.support.iter()) {
             *ours = ours.saturating_add(*theirs);
         }
+        merged.datum.merge(&theirs.datum);
         merged
     }
 }

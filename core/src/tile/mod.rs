@@ -15,6 +15,7 @@ pub use codec::{DecodeError, decode, decode_ledger, encode, encode_ledger};
 pub use ledger::{Ledger, Votes};
 pub use published::Decay;
 
+use crate::datum::Datum;
 use crate::evidence::{Cell, SUPPORT_BLOCKS, VIEW_BLOCKS, support_block, view_block};
 use crate::geo::CELLS_PER_TILE;
 
@@ -31,6 +32,8 @@ pub struct Tile {
     /// Distinct contributors with a hit in each support block, 255 for all above; counted as
     /// [`Cell::contributors`] are. They stay when the cells fade.
     support: Box<[u8; SUPPORT_BLOCKS]>,
+    /// What contributions were moved by, so that they lie on the map.
+    datum: Datum,
 }
 
 impl Default for Tile {
@@ -39,6 +42,7 @@ impl Default for Tile {
             cells: Vec::new(),
             observed: Box::new([0; VIEW_BLOCKS]),
             support: Box::new([0; SUPPORT_BLOCKS]),
+            datum: Datum::default(),
         }
     }
 }
@@ -82,6 +86,13 @@ impl Tile {
     #[must_use]
     pub fn support(&self) -> &[u8; SUPPORT_BLOCKS] {
         &self.support
+    }
+
+    /// What its contributions were moved by, so that they lie on the map: how far the crowd says the tile's
+    /// georeference errs.
+    #[must_use]
+    pub fn datum(&self) -> Datum {
+        self.datum
     }
 
     /// Number of occupied cells.

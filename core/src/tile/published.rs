@@ -48,7 +48,7 @@ impl Tile {
             observed[view] = self.observed[view];
             support[support_at] = self.support[support_at];
         }
-        Self { cells, observed, support }
+        Self { cells, observed, support, datum: self.datum }
     }
 }
 

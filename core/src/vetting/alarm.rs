@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-use super::Offset;
+use crate::datum::Offset;
 use crate::geo::Zone;
 
 /// A quarantined upload.

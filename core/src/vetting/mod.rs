@@ -5,13 +5,12 @@
 //!    beside the map.
 //! 3. [`moved()`]: what agrees is moved onto the map before it is folded: the map stays sharp, however
 //!    differently its contributors err.
-//! 4. [`datum`]: what everybody was moved by is summed up tile by tile. Its mean is what the crowd says the
+//! 4. [`crate::datum`]: what everybody was moved by is summed up tile by tile. Its mean is what the crowd says the
 //!    map's own georeference errs by, and is taken back from every answer.
 //! 5. [`alarm`]: quarantined uploads of several contributors that agree with each other tell of a map
 //!    that is wrong, or of a place that has changed.
 
 pub mod alarm;
-pub mod datum;
 mod judge;
 mod moved;
 mod offset;
@@ -23,10 +22,11 @@ use crate::align::weights::TileWeights;
 use crate::evidence::CellHits;
 use crate::geo::TileId;
 
-pub use datum::Datum;
 pub use judge::{Limits, Probed, Reason, Vetted, Vetter, Voice};
 pub use moved::moved;
-pub use offset::{Offset, Offsets};
+pub use offset::Offsets;
+
+use crate::datum::Datum;
 
 /// An upload's cells in one tile, in order of their index.
 pub type Share<'a> = (TileId, &'a [CellHits]);

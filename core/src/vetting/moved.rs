@@ -55,7 +55,7 @@ fn shifted(first: CellIndex, cell: &CellHits, offsets: &Offsets) -> (CellIndex, 
 mod tests {
     use super::*;
     use crate::geo::Zone;
-    use crate::vetting::Offset;
+    use crate::datum::Offset;
     use proptest::prelude::*;
 
     fn id() -> TileId {

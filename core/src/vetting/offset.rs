@@ -1,52 +1,12 @@
 //! How far an upload lies beside the map.
 
+use crate::datum::Offset;
 use crate::pose::Pose2;
 
 /// Distance at which a part of an upload counts half, metres.
 const REACH_M: f64 = 40.0;
 /// A turn is not carried farther than this from the middle of the part that it was measured in, metres.
 const ARM_M: f64 = 60.0;
-
-/// A shift and a turn, in whole millimetres and microradians: sums of them are exact and do not depend on
-/// their order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, PartialOrd, Ord)]
-pub struct Offset {
-    /// Millimetres east.
-    pub east_mm: i32,
-    /// Millimetres north.
-    pub north_mm: i32,
-    /// Microradians, counter-clockwise.
-    pub yaw_urad: i32,
-}
-
-impl Offset {
-    /// From metres and radians, rounded.
-    #[must_use]
-    pub fn of(pose: &Pose2) -> Self {
-        let whole = |value: f64, unit: f64| (value * unit).round() as i32;
-        Self {
-            east_mm: whole(pose.x_m, 1e3),
-            north_mm: whole(pose.y_m, 1e3),
-            yaw_urad: whole(pose.yaw_rad, 1e6),
-        }
-    }
-
-    /// As metres and radians.
-    #[must_use]
-    pub fn pose(&self) -> Pose2 {
-        Pose2::new(
-            f64::from(self.east_mm) * 1e-3,
-            f64::from(self.north_mm) * 1e-3,
-            f64::from(self.yaw_urad) * 1e-6,
-        )
-    }
-
-    /// Length of the shift, metres.
-    #[must_use]
-    pub fn shift_m(&self) -> f64 {
-        f64::from(self.east_mm).hypot(f64::from(self.north_mm)) * 1e-3
-    }
-}
 
 /// What is to be added to an upload's places so that they lie on the map: an offset for each of its parts,
 /// blended in between.
