@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
 use echofix_core::geo::{TileId, Zone};
-use echofix_server::store::{EmbeddedStore, MapStore, Options, Upload};
+use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy, Upload};
 use uuid::Uuid;
 
 const TILES: i32 = 12;
@@ -29,7 +29,7 @@ fn upload(zone: Zone, number: u32) -> Upload {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let data_dir = std::env::args_os().nth(1).map(PathBuf::from).ok_or("name a directory to measure in")?;
-    let store = EmbeddedStore::open(&Options { data_dir, cache_bytes: 256 << 20, segment_bytes: 64 << 20 })?;
+    let store = EmbeddedStore::open(&Options { data_dir, cache_bytes: 256 << 20, segment_bytes: 64 << 20, policy: Policy::trusting() })?;
     let zone = Zone::from_epsg(32614)?;
     for threads in [1, 4, 16, 64] {
         let before = *store.progress().borrow();

@@ -14,6 +14,7 @@ use echofix_core::align::verdict::Integrity;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Prior, Search, Task};
 use echofix_core::batch::Batch;
+use echofix_core::datum::{Datum, Offset, mean_offset};
 use echofix_core::doppler;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{self, CellHits, Pass};
@@ -22,10 +23,7 @@ use echofix_core::odometry::Trajectory;
 use echofix_core::pose::{Pose2, wrap_angle};
 use echofix_core::scan::{Gate, Scan};
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::vetting::datum::mean_offset;
-use echofix_core::vetting::{
-    Datum, Limits, MapSide, Offset, Offsets, Reason, Share, Vetted, Vetter, Voice, moved,
-};
+use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Share, Vetted, Vetter, Voice, moved};
 use echofix_core::window::Frame;
 use echofix_sim::{City, DriveParams, OdometryModel, Route, downtown, simulate};
 

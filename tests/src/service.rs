@@ -179,7 +179,8 @@ fn launch(folder: &TempDir, setup: &Setup) -> Child {
     let mut command = Command::new(binary::echofix());
     command.arg("serve").arg("--data-dir").arg(data_dir(folder, setup));
     command.arg("--addr-file").arg(address_file(folder));
-    for setting in ["grpc.listen=127.0.0.1:0", "http.listen=127.0.0.1:0"] {
+    // One vehicle is enough to make a map, unless a test says otherwise.
+    for setting in ["grpc.listen=127.0.0.1:0", "http.listen=127.0.0.1:0", "mapping.publish_contributors=1"] {
         command.args(["--set", setting]);
     }
     for setting in &setup.settings {

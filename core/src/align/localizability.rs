@@ -257,7 +257,7 @@ fn held(information: Matrix3<f64>) -> Matrix3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evidence::Cell;
+    use crate::evidence::{Cell, presence};
     use crate::geo::{CellIndex, TileId, Zone};
     use crate::tile::Tile;
     use std::collections::BTreeMap;
@@ -275,7 +275,8 @@ mod tests {
             let first = id.first_cell();
             let index = ((cell.y - first.y) * 512 + cell.x - first.x) as u32;
             let cell = tiles.entry(id).or_default().entry(index).or_default();
-            (cell.hits, cell.passes) = (cell.hits + 1, 1);
+            (cell.hits, cell.passes, cell.contributors) = (cell.hits + 1, 1, 1);
+            cell.presence = presence::ALWAYS;
             cell.offset_sum = [128 * cell.hits; 2];
         }
         let tiles: BTreeMap<_, _> = tiles

@@ -11,7 +11,7 @@ use super::engine::Question;
 use super::score::Field;
 use super::{Alignment, Alternatives};
 use crate::geo::CELL_M;
-use crate::pose::Pose2;
+use crate::pose::{Pose2, wrap_angle};
 
 /// What an answer must pass, and the calibration of its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -167,14 +167,18 @@ impl Case<'_> {
         let reach_sq = (search.extent_m * search.extent_m) as f32;
         let best = self.answer.unwrap_or(Summit::NONE);
         let rigid = self.summits.first().unwrap_or(&Summit::NONE);
-        let pose = prior.corrected(&best.correction);
+        let on_map = prior.corrected(&best.correction);
         let background = self.background();
-        let (matched_fraction, coverage) = self.agreement(&pose, integrity);
+        let (matched_fraction, coverage) = self.agreement(&on_map, integrity);
+        // What the crowd says that the map errs by here is taken back from the answer.
+        let off = self.question.view.mean_offset([on_map.x_m, on_map.y_m]);
+        let truer =
+            |c: &Pose2| Pose2::new(c.x_m - off.x_m, c.y_m - off.y_m, wrap_angle(c.yaw_rad - off.yaw_rad));
         let mut alignment = Alignment {
-            pose,
-            correction: best.correction,
+            pose: truer(&on_map),
+            correction: truer(&best.correction),
             covariance: self.covariance(&best, integrity).into(),
-            alternatives: self.alternatives(background),
+            alternatives: self.alternatives(background, truer),
             score: rigid.score - background,
             contrast: rigid.score / background.max(f64::MIN_POSITIVE),
             margin: self.margin(integrity),
@@ -238,16 +242,20 @@ impl Case<'_> {
     }
 
     /// Summits that are not the answer's, by their score above the background.
-    fn alternatives(&self, background: f64) -> Alternatives {
+    fn alternatives(&self, background: f64, truer: impl Fn(&Pose2) -> Pose2) -> Alternatives {
         let mut others = Alternatives::default();
         let Some((best, rest)) = self.summits.split_first() else { return others };
         for other in rest {
             let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.question.search.separation_m;
-            if distinct(&best.correction) && others.iter().all(|(pose, _)| distinct(pose)) {
+            if distinct(&best.correction)
+                && others.iter().all(|(pose, _)| {
+                    pose.distance_m(&truer(&other.correction)) >= self.question.search.separation_m
+                })
+            {
                 // An answer that is no better than a random shift is rivalled by everything.
                 let above = best.score - background;
                 let relative = if above > 0.0 { (other.score - background) / above } else { 1.0 };
-                others.push(other.correction, relative.clamp(0.0, 1.0));
+                others.push(truer(&other.correction), relative.clamp(0.0, 1.0));
             }
         }
         others

@@ -62,6 +62,12 @@ impl TileId {
         Self { zone, x: cell.x.div_euclid(side) as i32, y: cell.y.div_euclid(side) as i32 }
     }
 
+    /// The tile and its eight neighbours, row by row.
+    #[must_use]
+    pub fn with_neighbours(self) -> [Self; 9] {
+        std::array::from_fn(|i| Self { x: self.x + i as i32 % 3 - 1, y: self.y + i as i32 / 3 - 1, ..self })
+    }
+
     /// Map metres of the south-west corner.
     #[must_use]
     pub fn origin(self) -> [f64; 2] {

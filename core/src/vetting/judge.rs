@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::datum::{Offset, mean_offset};
 use super::part::{self, Part, Placement, Prober, Probing};
 use super::{MapSide, Offsets, Share};
+use crate::datum::{Offset, mean_offset};
 use crate::geo::TileId;
 use crate::pose::Pose2;
 

@@ -54,8 +54,8 @@ fn shifted(first: CellIndex, cell: &CellHits, offsets: &Offsets) -> (CellIndex, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geo::Zone;
     use crate::datum::Offset;
+    use crate::geo::Zone;
     use proptest::prelude::*;
 
     fn id() -> TileId {

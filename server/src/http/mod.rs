@@ -99,6 +99,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/tiles/{layer}/{z}/{x}/{y}", get(layers::tile)),
         ("/api/v1/map", get(catalog::map)),
         ("/api/v1/map/history", get(operations::history)),
+        ("/api/v1/map/quarantine", get(operations::quarantine)),
         ("/api/v1/map/diff", get(operations::diff)),
         ("/api/v1/map/rollback", post(operations::rollback)),
         ("/api/v1/map/revoke", post(operations::revoke)),

@@ -7,6 +7,10 @@ use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::{Query, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
+use echofix_core::datum::Offset;
+use echofix_core::geo::{Grid, Zone};
+use echofix_core::vetting::Reason;
+use echofix_core::vetting::alarm::{Alarm, AlarmLimits, Kind, alarms};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use uuid::Uuid;
@@ -15,7 +19,7 @@ use super::App;
 use super::catalog::told;
 use super::day::{iso_date, parse_date};
 use super::error::Error;
-use crate::store::{Decision, Event, Operations, TileDiff, What};
+use crate::store::{Decision, Event, Operations, Quarantined, TileDiff, What};
 
 /// Tiles of a difference that are told one by one, at most.
 const MAX_TILES: usize = 10_000;
@@ -65,6 +69,51 @@ fn event(event: &Event) -> Value {
         body.extend(rest);
     }
     body
+}
+
+/// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, and what they agree on
+pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> {
+    let kept_out = work(&app, |operations| Ok(operations.quarantined()?)).await?;
+    let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
+    let alarms: Vec<_> = alarms(&entries, &AlarmLimits::default()).iter().map(alarm).collect();
+    let newest = kept_out.iter().rev().take(MAX_EVENTS).map(quarantined);
+    let uploads: Vec<_> = newest.collect();
+    Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))
+}
+
+fn quarantined(quarantined: &Quarantined) -> Value {
+    let reason = match quarantined.reason {
+        Reason::Shifted => "SHIFTED",
+        Reason::Rotated => "ROTATED",
+        Reason::Disagrees => "DISAGREES",
+    };
+    let upload = &quarantined.upload;
+    json!({
+        "epoch": quarantined.number, "reason": reason, "date": iso_date(upload.day),
+        "place": place(upload.zone, upload.place), "offset": upload.offset.as_ref().map(offset),
+    })
+}
+
+fn alarm(alarm: &Alarm) -> Value {
+    let (kind, by) = match &alarm.kind {
+        Kind::Shift(by) => ("SHIFT", Some(offset(by))),
+        Kind::Changed => ("CHANGED", None),
+    };
+    json!({
+        "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
+        "place": place(alarm.zone, alarm.place),
+    })
+}
+
+fn offset(offset: &Offset) -> Value {
+    let pose = offset.pose();
+    json!({ "east_m": pose.x_m, "north_m": pose.y_m, "yaw_deg": pose.yaw_rad.to_degrees() })
+}
+
+/// WGS-84 degrees of map metres; nothing where the zone does not reach.
+fn place(zone: Zone, [x_m, y_m]: [f64; 2]) -> Value {
+    let at = Grid::new(zone).and_then(|grid| grid.unproject([x_m, y_m]));
+    at.map_or(Value::Null, |at| json!({ "lat": at.lat_deg, "lon": at.lon_deg }))
 }
 
 /// `?from=&to=`

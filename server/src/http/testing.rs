@@ -26,7 +26,7 @@ use crate::feed::{FixEvent, UploadEvent};
 use crate::locating::Expectations;
 use crate::store::testing::some_uploads;
 use crate::store::{
-    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Progress, Receipt, Region,
+    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Policy, Progress, Receipt, Region,
     Snapshot, State, StoredTile, TileInfo, Totals, Upload, Verified,
 };
 
@@ -272,7 +272,7 @@ impl Kept {
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options = Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
+        let options = Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {

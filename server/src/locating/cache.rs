@@ -52,7 +52,7 @@ impl TileCache {
         let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
         let mut found = Found { tiles: Vec::new(), epoch, cached: true };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
-            let key = Key { id, versions: around(id).map(|near| version(&catalog, near)) };
+            let key = Key { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
             let tile = self.tiles.try_get_with_by_ref(&key, || {
                 found.cached = false;
                 prepare(store, &key)
@@ -67,14 +67,9 @@ fn version(catalog: &[TileInfo], id: TileId) -> u64 {
     catalog.iter().find(|info| info.id == id).map_or(0, |info| info.version)
 }
 
-/// A tile and its neighbours, row by row.
-fn around(id: TileId) -> [TileId; 9] {
-    std::array::from_fn(|i| TileId { x: id.x + i as i32 % 3 - 1, y: id.y + i as i32 / 3 - 1, ..id })
-}
-
 fn prepare(store: &dyn MapStore, key: &Key) -> Result<Arc<TileWeights>, Error> {
     let mut near = Vec::with_capacity(key.versions.len());
-    for (id, _) in around(key.id).into_iter().zip(key.versions).filter(|(_, version)| *version != 0) {
+    for (id, _) in key.id.with_neighbours().into_iter().zip(key.versions).filter(|(_, version)| *version != 0) {
         near.extend(store.tile(id)?.map(|stored| (id, stored.tile)));
     }
     let find = |id| near.iter().find(|(at, _)| *at == id).map(|(_, tile)| &**tile);

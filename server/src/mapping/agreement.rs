@@ -69,12 +69,12 @@ mod tests {
 
     #[test]
     fn agreement_tells_a_good_upload_from_a_shifted_one() {
-        use crate::store::{EmbeddedStore, Options, State, Upload};
+        use crate::store::{EmbeddedStore, Options, Policy, State, Upload};
         use echofix_core::evidence::{CellHits, Pass, Share};
         use echofix_core::geo::Zone;
         let dir = tempfile::tempdir().unwrap();
         let options =
-            Options { data_dir: dir.path().to_owned(), cache_bytes: 1 << 20, segment_bytes: 1 << 20 };
+            Options { data_dir: dir.path().to_owned(), cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = EmbeddedStore::open(&options).unwrap();
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 65_000, x: 12_000 };
         // A wall along a row of cells.

@@ -2,6 +2,9 @@
 
 use echofix_core::contribution::Limits;
 use echofix_core::scan::Gate;
+use echofix_core::tile::Decay;
+use echofix_core::vetting;
+use crate::store::Policy;
 use serde::{Deserialize, Serialize};
 
 /// The `[mapping]` section of the configuration.
@@ -23,6 +26,18 @@ pub struct MappingConfig {
     pub max_pose_gap_s: f64,
     /// Faster motion between two poses is a jump, metres per second.
     pub max_speed_mps: f64,
+    /// Distinct contributors that must have seen something near a cell for it to be served.
+    pub publish_contributors: u8,
+    /// Whether uploads are held against the map before they count.
+    pub vet: bool,
+    /// An upload that lies farther beside the map is kept out of it, metres.
+    pub vet_shift_m: f64,
+    /// An upload that is turned farther against the map is kept out of it, degrees.
+    pub vet_turn_deg: f64,
+    /// Days after which evidence that nobody confirms weighs half.
+    pub half_life_days: f64,
+    /// Days after which evidence that nobody confirms is not served any more.
+    pub expire_days: u16,
     /// Older uploads are refused, days; 0 takes any age.
     pub max_age_days: u16,
     /// Uploads stay revocable, and their contributors' hashes known, for this long after they came, days;
@@ -50,6 +65,12 @@ impl Default for MappingConfig {
             max_doppler_residual_mps: 0.5,
             max_pose_gap_s: 1.0,
             max_speed_mps: 70.0,
+            publish_contributors: 3,
+            vet: true,
+            vet_shift_m: 0.45,
+            vet_turn_deg: 1.0,
+            half_life_days: 180.0,
+            expire_days: 365,
             max_age_days: 0,
             retention_days: 90,
             max_upload_bytes: 16 << 20,
@@ -62,6 +83,18 @@ impl Default for MappingConfig {
 }
 
 impl MappingConfig {
+    /// What of the crowd's evidence counts, and what is served.
+    #[must_use]
+    pub fn policy(&self) -> Policy {
+        let (shift_m, yaw_rad) = (self.vet_shift_m, self.vet_turn_deg.to_radians());
+        let limits = vetting::Limits { shift_m, yaw_rad, ..vetting::Limits::default() };
+        Policy {
+            publish_contributors: self.publish_contributors,
+            decay: Decay { half_life_days: self.half_life_days, expire_days: self.expire_days },
+            vetting: self.vet.then_some(limits),
+        }
+    }
+
     /// What poses and detections must fulfil.
     #[must_use]
     pub fn limits(&self) -> Limits {

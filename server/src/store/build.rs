@@ -22,6 +22,7 @@ use super::fold::replay;
 use super::generation::Generation;
 use super::manifest::Manifest;
 use super::shared::Shared;
+use super::vetting::Vetting;
 use super::{Building, Error, State};
 
 /// Steps after which a test stops.
@@ -99,7 +100,8 @@ fn fill(
     applied: u64,
     told: &mut Told<'_>,
 ) -> Result<Option<u64>, Error> {
-    let index = &shared.index;
+    let (index, journal) = (&shared.index, &shared.journal);
+    let mut vetting = Vetting::new(shared.policy.vetting);
     fresh.load(base)?;
     let exclusion = index.exclusion(applied);
     let mut folded = base.last;
@@ -109,7 +111,7 @@ fn fill(
         if folded >= end {
             break;
         }
-        folded = replay(&shared.journal, index, &mut &*fresh, folded, end, &exclusion, |at| told.at(at))?;
+        folded = replay(journal, index, &mut &*fresh, folded, end, &exclusion, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }
@@ -156,11 +158,12 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     // Its ledgers must not stay on disk.
     scratch.retire();
     scratch.load(&base)?;
-    let mut folded = base.last;
+    let (mut folded, journal) = (base.last, &shared.journal);
+    let mut vetting = Vetting::new(shared.policy.vetting);
     for (number, last) in settles {
         // What was decided after a settlement does not change what was settled.
         let exclusion = index.exclusion(number);
-        folded = replay(&shared.journal, index, &mut &scratch, folded, last, &exclusion, |at| told.at(at))?;
+        folded = replay(journal, index, &mut &scratch, folded, last, &exclusion, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }

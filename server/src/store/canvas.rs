@@ -55,6 +55,16 @@ impl<'a> Canvas<'a> {
         Ok(&mut touched.folded)
     }
 
+    /// A tile as it is by now; empty where there is none.
+    pub(super) fn get(&mut self, id: TileId) -> Result<&Folded, Error> {
+        Ok(&self.touch(id)?.folded)
+    }
+
+    /// A tile that was looked at before.
+    pub(super) fn looked_at(&self, id: TileId) -> Option<&Folded> {
+        self.tiles.get(&id).map(|touched| &touched.folded)
+    }
+
     fn touch(&mut self, id: TileId) -> Result<&mut Touched, Error> {
         use std::collections::btree_map::Entry;
         Ok(match self.tiles.entry(id) {

@@ -48,6 +48,11 @@ impl Catalog {
         self.tiles.values()
     }
 
+    /// The newest day anything was seen.
+    pub(super) fn newest_day(&self) -> u16 {
+        self.newest_day
+    }
+
     pub(super) fn get(&self, id: TileId) -> Option<&TileInfo> {
         self.tiles.get(&id)
     }

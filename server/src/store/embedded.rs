@@ -22,7 +22,7 @@ use super::journal::{Journal, Written};
 use super::manifest::Manifest;
 use super::shared::Shared;
 use super::{
-    Error, Event, Imported, MapStore, Operations, Progress, Receipt, Region, Snapshot, State, StoredTile,
+    Error, Event, Imported, MapStore, Operations, Policy, Progress, Quarantined, Receipt, Region, Snapshot, State, StoredTile,
     TileInfo, Totals, Upload, Verified, build, clock, io_error,
 };
 
@@ -35,6 +35,8 @@ pub struct Options {
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
+    /// What counts and what is served. Another policy than before needs a rebuild: delete the manifest.
+    pub policy: Policy,
 }
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
@@ -83,7 +85,7 @@ impl EmbeddedStore {
         let journal =
             Journal::start(&dir.journal(), found, index.newest_day(), options.segment_bytes, deliver)?;
         let (journal, served) = ((journal_id, journal), (folder.on.clone(), base.clone()));
-        let shared = Arc::new(Shared::new(dir, options.cache_bytes, journal, index, progress, served));
+        let shared = Arc::new(Shared::new(dir, options, journal, index, progress, served));
         if folder.on.is_some() && folder.applied >= shared.index.newest_control() {
             build::forget_settled(&shared, base)?;
         }
@@ -186,7 +188,11 @@ impl MapStore for EmbeddedStore {
             return Ok(None);
         }
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
-        generation.tiles.stored(id)?.ok_or_else(lost).map(Some)
+        let StoredTile { version, tile, .. } = generation.tiles.stored(id)?.ok_or_else(lost)?;
+        let today = generation.catalog().newest_day();
+        let tile = self.shared.policy.served(&tile, today);
+        let encoded = echofix_core::tile::encode(&tile).into();
+        Ok(Some(StoredTile { version, tile: tile.into(), encoded }))
     }
 
     fn catalog(
@@ -250,6 +256,10 @@ impl Operations for EmbeddedStore {
             return Ok(None);
         }
         self.control(Action::Settle(last)).map(Some)
+    }
+
+    fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+        self.shared.readable()?.tiles.quarantined()
     }
 
     fn history(&self, limit: usize) -> Vec<Event> {

@@ -12,49 +12,82 @@ use super::exclusion::Exclusion;
 use super::generation::Generation;
 use super::index::Index;
 use super::journal::{Journal, Written};
+use super::vetting::{self, Outcome, Quarantined, Vetting};
 use super::{Error, Upload};
 
 /// A map that keeps what was folded.
 pub(super) trait Sink: Source {
-    /// Keeps changed tiles; the map goes up to the record `folded` with them.
-    fn keep(&mut self, changed: impl Iterator<Item = (TileId, Folded)>, folded: u64) -> Result<(), Error>;
+    /// Keeps changed tiles, and notes of the uploads that were kept out of them; the map goes up to the record
+    /// `folded` with them.
+    fn keep(
+        &mut self,
+        changed: impl Iterator<Item = (TileId, Folded)>,
+        quarantined: &[Quarantined],
+        folded: u64,
+    ) -> Result<(), Error>;
 }
 
 impl Sink for InMemory {
-    fn keep(&mut self, changed: impl Iterator<Item = (TileId, Folded)>, _: u64) -> Result<(), Error> {
+    fn keep(
+        &mut self,
+        changed: impl Iterator<Item = (TileId, Folded)>,
+        _: &[Quarantined],
+        _: u64,
+    ) -> Result<(), Error> {
         self.extend(changed);
         Ok(())
     }
 }
 
 impl Sink for &Generation {
-    fn keep(&mut self, changed: impl Iterator<Item = (TileId, Folded)>, folded: u64) -> Result<(), Error> {
-        self.put(changed, folded)
+    fn keep(
+        &mut self,
+        changed: impl Iterator<Item = (TileId, Folded)>,
+        quarantined: &[Quarantined],
+        folded: u64,
+    ) -> Result<(), Error> {
+        self.put(changed, quarantined, folded)
     }
 }
 
 /// Folds one upload: the only place where an upload changes the map. What it does must follow from the
 /// tiles on the canvas and the upload alone, so that a replay gives the same bytes.
-fn fold(canvas: &mut Canvas<'_>, number: u64, upload: &Upload) -> Result<(), Error> {
-    for (id, share) in &upload.contribution.tiles {
-        let folded = canvas.change(*id, number)?;
-        folded.ledger.forget_before(upload.forget_before);
-        folded.tile.fold(&mut folded.ledger, upload.pass, share);
+fn fold(
+    canvas: &mut Canvas<'_>,
+    number: u64,
+    upload: &Upload,
+    vetting: &mut Vetting,
+) -> Result<Option<Quarantined>, Error> {
+    let counts = match vetting.vet(canvas, number, upload)? {
+        Outcome::Counts(counts) => counts,
+        Outcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
+    };
+    for (zone, offsets) in counts {
+        for (id, share, offset) in vetting::moved(&upload.contribution, zone, &offsets) {
+            let folded = canvas.change(id, number)?;
+            folded.ledger.forget_before(upload.forget_before);
+            folded.tile.fold_moved(&mut folded.ledger, upload.pass, &share, offset);
+        }
     }
-    Ok(())
+    Ok(None)
 }
 
 /// Folds a record of any kind.
-fn fold_record(canvas: &mut Canvas<'_>, number: u64, payload: &[u8]) -> Result<(), Error> {
+fn fold_record(
+    canvas: &mut Canvas<'_>,
+    number: u64,
+    payload: &[u8],
+    vetting: &mut Vetting,
+) -> Result<Option<Quarantined>, Error> {
     match entry::decode(payload).ok_or_else(|| unreadable(number))? {
-        Entry::Upload(upload) => fold(canvas, number, &upload),
+        Entry::Upload(upload) => fold(canvas, number, &upload, vetting),
         Entry::Import { tile: id, encoded } => {
             let imported = tile::decode(&encoded).map_err(|_| unreadable(number))?;
             let folded = canvas.change(id, number)?;
             folded.tile = folded.tile.merged(&imported);
-            Ok(())
+            Ok(None)
         }
-        Entry::Control => Ok(()),
+        Entry::Control => Ok(None),
     }
 }
 
@@ -64,14 +97,17 @@ pub(super) fn fold_group(
     sink: &mut impl Sink,
     counted: &[Written],
     folded: u64,
+    vetting: &mut Vetting,
 ) -> Result<(), Error> {
     let mut reader = journal.reader();
     let mut canvas = Canvas::new(sink);
+    let mut quarantined = Vec::new();
     for written in counted {
-        fold_record(&mut canvas, written.number, &reader.payload(written.at)?)?;
+        let payload = reader.payload(written.at)?;
+        quarantined.extend(fold_record(&mut canvas, written.number, &payload, vetting)?);
     }
     let changed: Vec<_> = canvas.into_changed().collect();
-    sink.keep(changed.into_iter(), folded)
+    sink.keep(changed.into_iter(), &quarantined, folded)
 }
 
 /// Folds the records after `folded` up to `last`, but for the excluded ones. `told` hears of every step
@@ -83,12 +119,13 @@ pub(super) fn replay(
     mut folded: u64,
     last: u64,
     exclusion: &Exclusion,
+    vetting: &mut Vetting,
     mut told: impl FnMut(u64) -> bool,
 ) -> Result<u64, Error> {
     while folded < last && told(folded) {
         let group = index.records(folded, last);
         let Some(newest) = group.last().map(|written| written.number) else { break };
-        fold_group(journal, sink, &index.counted(&group, exclusion), newest)?;
+        fold_group(journal, sink, &index.counted(&group, exclusion), newest, vetting)?;
         folded = newest;
     }
     Ok(folded)

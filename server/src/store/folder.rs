@@ -10,6 +10,7 @@ use super::generation::Generation;
 use super::index::Next;
 use super::journal::Written;
 use super::shared::Shared;
+use super::vetting::Vetting;
 use super::{Error, State};
 
 /// How long folding rests after an error.
@@ -29,8 +30,9 @@ pub(super) struct Folder {
 pub(super) fn run(shared: &Shared, mut folder: Folder) {
     let whole = shared.index.newest();
     let mut told = Instant::now();
+    let mut vetting = Vetting::new(shared.policy.vetting);
     loop {
-        let outcome = folder.step(shared);
+        let outcome = folder.step(shared, &mut vetting);
         let rebuilding = shared.progress.borrow().state == State::Rebuilding;
         match outcome {
             Ok(false) => return,
@@ -56,14 +58,14 @@ pub(super) fn run(shared: &Shared, mut folder: Folder) {
 
 impl Folder {
     /// Does what is next, waiting for it. False at the end.
-    fn step(&mut self, shared: &Shared) -> Result<bool, String> {
+    fn step(&mut self, shared: &Shared, vetting: &mut Vetting) -> Result<bool, String> {
         let Some(on) = self.on.clone() else { return self.build(shared) };
         match shared.index.next(self.folded, self.applied) {
             None => Ok(false),
             Some(Next::Build) => self.build(shared),
             Some(Next::Records(group)) => {
                 let newest = group.last().map_or(self.folded, |written| written.number);
-                caught(|| fold(shared, &on, &group, newest))?;
+                caught(|| fold(shared, &on, &group, newest, vetting))?;
                 self.folded = newest;
                 shared.progress.send_modify(|progress| progress.epoch = newest);
                 Ok(true)
@@ -96,6 +98,12 @@ impl Folder {
     }
 }
 
-fn fold(shared: &Shared, on: &Generation, group: &[Written], newest: u64) -> Result<(), Error> {
-    fold_group(&shared.journal, &mut &*on, group, newest)
+fn fold(
+    shared: &Shared,
+    on: &Generation,
+    group: &[Written],
+    newest: u64,
+    vetting: &mut Vetting,
+) -> Result<(), Error> {
+    fold_group(&shared.journal, &mut &*on, group, newest, vetting)
 }

@@ -16,6 +16,7 @@ use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
 use super::fold::caught;
 use super::tiles::{Tiles, Value};
+use super::vetting::Quarantined;
 use super::{Error, io_error};
 
 /// Tiles written at once when many are.
@@ -98,21 +99,22 @@ impl Generation {
             let damaged = |error| Error::Damaged { what: format!("tile {id} of the base"), reason: error };
             let tile = tile::decode(&encoded).map_err(|error| damaged(error.to_string()))?;
             batch.push((id, Folded { version, tile, ..Folded::default() }));
-            if batch.len() == BATCH { self.put(batch.drain(..), base.last) } else { Ok(()) }
+            if batch.len() == BATCH { self.put(batch.drain(..), &[], base.last) } else { Ok(()) }
         })?;
-        self.put(batch.drain(..), base.last)
+        self.put(batch.drain(..), &[], base.last)
     }
 
-    /// Puts changed tiles in place; the generation goes up to the record `folded` with them.
+    /// Puts changed tiles in place, and notes of uploads that were kept out of them; the generation goes up to the record `folded` with them.
     pub(super) fn put(
         &self,
         changed: impl Iterator<Item = (TileId, Folded)>,
+        quarantined: &[Quarantined],
         folded: u64,
     ) -> Result<(), Error> {
         let values: Vec<_> = changed.map(|(id, folded)| Value::new(id, &folded)).collect();
         let infos: Vec<_> = values.iter().map(|value| value.info).collect();
         let digest = self.catalog().digest_with(&infos);
-        self.tiles.put_all(values, folded, digest)?;
+        self.tiles.put_all(values, quarantined, folded, digest)?;
         let mut catalog = self.catalog_mut();
         for info in infos {
             catalog.put(info);
@@ -134,7 +136,7 @@ impl Generation {
                     changed.push((*id, tile));
                 }
             }
-            self.put(changed.into_iter(), folded)?;
+            self.put(changed.into_iter(), &[], folded)?;
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ use super::embedded::EmbeddedStore;
 use super::entry::Action;
 use super::fold::replay;
 use super::index::Kind;
+use super::vetting::Vetting;
 
 /// Something that happened to the map, newest epochs first.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -136,7 +137,9 @@ impl EmbeddedStore {
             Ok(())
         })?;
         let exclusion = index.exclusion(epoch);
-        replay(&self.shared.journal, index, &mut map, base.last, epoch, &exclusion, |_| !index.ended())?;
+        let mut vetting = Vetting::new(self.shared.policy.vetting);
+        let (journal, go_on) = (&self.shared.journal, |_| !index.ended());
+        replay(journal, index, &mut map, base.last, epoch, &exclusion, &mut vetting, go_on)?;
         if index.ended() {
             return Err(Error::Stopped("the store is being closed".to_owned()));
         }

@@ -9,7 +9,7 @@
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
 //!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
-//!   `generation` and `catalog`, `canvas` and `fold` (records to tiles), `build` (new generations),
+//!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
 //!
@@ -35,6 +35,8 @@ mod index;
 mod journal;
 mod manifest;
 mod operations;
+mod policy;
+mod quarantine;
 mod record;
 mod region;
 mod shared;
@@ -45,12 +47,15 @@ pub(crate) mod testing;
 mod tests;
 mod tiles;
 mod verify;
+mod vetting;
 
 pub use embedded::{EmbeddedStore, Options};
 pub use history::{Decision, Event, Snapshot, TileDiff, What};
 pub use operations::Operations;
+pub use policy::Policy;
 pub use region::{Imported, Region};
 pub use verify::Verified;
+pub use vetting::Quarantined;
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;

@@ -11,11 +11,12 @@ use super::data_dir::DataDir;
 use super::generation::Generation;
 use super::index::Index;
 use super::journal::Journal;
-use super::{Error, Progress, State};
+use super::{Error, Options, Policy, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {
     pub(super) cache_bytes: u64,
+    pub(super) policy: Policy,
     pub(super) journal_id: Uuid,
     pub(super) journal: Journal,
     pub(super) index: Arc<Index>,
@@ -37,14 +38,15 @@ pub(super) struct Shared {
 impl Shared {
     pub(super) fn new(
         dir: DataDir,
-        cache_bytes: u64,
+        options: &Options,
         (journal_id, journal): (Uuid, Journal),
         index: Arc<Index>,
         progress: watch::Sender<Progress>,
         (served, base): (Option<Arc<Generation>>, Base),
     ) -> Self {
         Self {
-            cache_bytes,
+            cache_bytes: options.cache_bytes,
+            policy: options.policy,
             journal_id,
             journal,
             index,

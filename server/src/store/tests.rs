@@ -17,7 +17,8 @@ mod past;
 mod settling;
 
 fn options(dir: &Path) -> Options {
-    Options { data_dir: dir.to_owned(), cache_bytes: 8 << 20, segment_bytes: 4096 }
+    use super::Policy;
+    Options { data_dir: dir.to_owned(), cache_bytes: 8 << 20, segment_bytes: 4096, policy: Policy::trusting() }
 }
 
 fn open(dir: &Path) -> EmbeddedStore {

@@ -5,6 +5,7 @@
 //! ```text
 //! key    EPSG code (2) | y (4) | x (4), big-endian, signs flipped: neighbours sit together
 //! value  CRC-32C of key and the rest (4) | version (8) | cells (4) | newest day (2) | tile length (4) | tile | ledger
+//! a quarantined upload: see [`super::quarantine`]
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
@@ -21,6 +22,8 @@ use uuid::Uuid;
 
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
+use super::quarantine;
+use super::vetting::Quarantined;
 use super::{Error, StoredTile, TileInfo};
 
 /// Where the journal the tiles were folded from is named.
@@ -61,7 +64,7 @@ impl Tiles {
         let mut catalog = Catalog::default();
         for entry in &self.tree {
             let (key, value) = entry.map_err(|error| error.to_string())?;
-            if key != STATE {
+            if key != STATE && !quarantine::is_key(&key) {
                 let value =
                     parse(&key, &value).ok_or_else(|| format!("the value of {:?} is damaged", &key[..]))?;
                 catalog.put(value.info);
@@ -93,15 +96,37 @@ impl Tiles {
         Ok(Some((value.info.version, value.tile.to_vec())))
     }
 
-    /// Puts tiles, and how far they go with them, all or none.
-    pub(super) fn put_all(&self, values: Vec<Value>, folded: u64, digest: u64) -> Result<(), Error> {
+    /// Puts tiles, what was kept out of them, and how far they go with them, all or none.
+    pub(super) fn put_all(
+        &self,
+        values: Vec<Value>,
+        quarantined: &[Quarantined],
+        folded: u64,
+        digest: u64,
+    ) -> Result<(), Error> {
         let mut batch = sled::Batch::default();
         for Value { key, bytes, .. } in values {
             batch.insert(&key[..], bytes);
         }
+        for quarantined in quarantined {
+            batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
+        }
         batch.insert(STATE, state(folded, digest));
         self.tree.apply_batch(batch)?;
         Ok(())
+    }
+
+    /// The uploads that were kept out, oldest first.
+    pub(super) fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+        let damaged = || Error::Damaged {
+            what: "a note of a quarantined upload".to_owned(),
+            reason: "its checksum does not match".to_owned(),
+        };
+        let notes = self.tree.scan_prefix(quarantine::PREFIX).map(|entry| {
+            let (key, value) = entry?;
+            quarantine::decode(&key, &value).ok_or_else(damaged)
+        });
+        notes.collect()
     }
 
     /// Asks sled to bring everything to disk.

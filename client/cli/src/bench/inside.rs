@@ -15,7 +15,7 @@ use echofix_proto::v1::LocalizeRequest;
 use echofix_server::config::{Config, Sources};
 use echofix_server::grpc::{LocalizationApi, decode};
 use echofix_server::locating::Locator;
-use echofix_server::store::{EmbeddedStore, MapStore, Options};
+use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy};
 use prost::Message;
 use serde::Serialize;
 
@@ -55,6 +55,7 @@ impl Scene {
             data_dir: folder.join("data"),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
+            policy: Policy::trusting(),
         };
         let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
         let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));

@@ -8,10 +8,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::align::weights::TileWeights;
+use crate::datum::Datum;
 use crate::evidence::{Cell, CellHits};
 use crate::geo::{CELL_M, CellIndex, Zone};
 use crate::tile::Tile;
-use crate::vetting::{Datum, moved};
+use crate::vetting::moved;
 
 const MIDDLE: [f64; 2] = [600_060.0, 3_300_030.0];
 

@@ -20,9 +20,9 @@ use std::thread::JoinHandle;
 
 use uuid::Uuid;
 
-use super::faults::{Fault, fault};
 use super::backup::Part;
 use super::entry::Note;
+use super::faults::{Fault, fault};
 use super::{Error, io_error};
 use medium::Segment;
 use writer::{Append, Writer};

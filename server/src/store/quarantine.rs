@@ -1,0 +1,108 @@
+//! Notes of uploads that were kept out of the map, beside the tiles.
+//!
+//! ```text
+//! key    "quarantined" | number of the record (8), big-endian
+//! value  CRC-32C of key and the rest (4) | varints: EPSG code, east and north (zigzag, mm), day, reason, offset
+//! known (0, 1), offset east, north (zigzag, mm), turn (zigzag, urad) | contributor hash (8)
+//! ```
+
+use echofix_core::datum::Offset;
+use echofix_core::geo::Zone;
+use echofix_core::varint::{Reader, Writer};
+use echofix_core::vetting::Reason;
+use echofix_core::vetting::alarm::Quarantined as Entry;
+
+use super::vetting::Quarantined;
+
+/// How the keys begin: longer than a tile's.
+pub(super) const PREFIX: &[u8] = b"quarantined";
+
+pub(super) fn is_key(key: &[u8]) -> bool {
+    key.starts_with(PREFIX)
+}
+
+pub(super) fn key(number: u64) -> Vec<u8> {
+    [PREFIX, &number.to_be_bytes()].concat()
+}
+
+pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
+    let Quarantined { number, reason, upload } = quarantined;
+    let mut out = Writer::default();
+    out.put(u64::from(upload.zone.epsg()));
+    for metres in upload.place {
+        out.put_signed((metres * 1e3).round() as i64);
+    }
+    out.put(u64::from(upload.day));
+    out.put(match reason {
+        Reason::Shifted => 0,
+        Reason::Rotated => 1,
+        Reason::Disagrees => 2,
+    });
+    out.put(u64::from(upload.offset.is_some()));
+    let Offset { east_mm, north_mm, yaw_urad } = upload.offset.unwrap_or_default();
+    for part in [east_mm, north_mm, yaw_urad] {
+        out.put_signed(part.into());
+    }
+    out.bytes.extend_from_slice(&upload.contributor.to_le_bytes());
+    [&checksum(&key(*number), &out.bytes)[..], &out.bytes].concat()
+}
+
+pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
+    let number = u64::from_be_bytes(key.strip_prefix(PREFIX)?.try_into().ok()?);
+    let (sum, rest) = value.split_at_checked(4)?;
+    if checksum(key, rest) != sum {
+        return None;
+    }
+    let mut input = Reader { rest };
+    let zone = Zone::from_epsg(input.get()?).ok()?;
+    let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
+    let place = [metres()?, metres()?];
+    let day = input.get()?;
+    let reason = match input.get::<u8>()? {
+        0 => Reason::Shifted,
+        1 => Reason::Rotated,
+        2 => Reason::Disagrees,
+        _ => return None,
+    };
+    let known = input.get::<u8>()? == 1;
+    let offset = Offset {
+        east_mm: input.get_signed()?,
+        north_mm: input.get_signed()?,
+        yaw_urad: input.get_signed()?,
+    };
+    let contributor = u64::from_le_bytes(input.rest.try_into().ok()?);
+    let upload = Entry { zone, place, offset: known.then_some(offset), contributor, day };
+    Some(Quarantined { number, reason, upload })
+}
+
+fn checksum(key: &[u8], rest: &[u8]) -> [u8; 4] {
+    crc32c::crc32c_append(crc32c::crc32c(key), rest).to_le_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_note_survives_its_bytes_and_a_changed_one_does_not(
+            number: u64, place in [100_000.0..900_000.0_f64, 0.0..9e6_f64], day: u16, contributor: u64,
+            offset in prop::option::of((any::<i16>(), any::<i16>(), any::<i16>())), reason in 0..3_usize,
+            at: prop::sample::Index, bit in 0..8_u8,
+        ) {
+            let offset = offset.map(|(e, n, y)| Offset { east_mm: e.into(), north_mm: n.into(), yaw_urad: y.into() });
+            let place = place.map(|m| (m * 1e3).round() * 1e-3);
+            let zone = Zone::from_epsg(32614).unwrap();
+            let reason = [Reason::Shifted, Reason::Rotated, Reason::Disagrees][reason];
+            let note = Quarantined { number, reason, upload: Entry { zone, place, offset, contributor, day } };
+            let (key, mut value) = (key(number), encode(&note));
+            let back = decode(&key, &value).unwrap();
+            prop_assert!(back.upload.place.iter().zip(place).all(|(a, b)| (a - b).abs() < 1e-6));
+            prop_assert_eq!(Quarantined { upload: Entry { place, ..back.upload }, ..back }, note);
+            let at = at.index(value.len());
+            value[at] ^= 1 << bit;
+            prop_assert_eq!(decode(&key, &value), None);
+        }
+    }
+}
