@@ -29,7 +29,12 @@ fn upload(zone: Zone, number: u32) -> Upload {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let data_dir = std::env::args_os().nth(1).map(PathBuf::from).ok_or("name a directory to measure in")?;
-    let store = EmbeddedStore::open(&Options { data_dir, cache_bytes: 256 << 20, segment_bytes: 64 << 20, policy: Policy::trusting() })?;
+    let store = EmbeddedStore::open(&Options {
+        data_dir,
+        cache_bytes: 256 << 20,
+        segment_bytes: 64 << 20,
+        policy: Policy::trusting(),
+    })?;
     let zone = Zone::from_epsg(32614)?;
     for threads in [1, 4, 16, 64] {
         let before = *store.progress().borrow();

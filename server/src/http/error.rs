@@ -48,27 +48,36 @@ pub enum Error {
 impl Error {
     fn status(&self) -> StatusCode {
         match self {
-            Self::BadRequest(_) | Self::Store(store::Error::Unusable(_)) => StatusCode::BAD_REQUEST,
-            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => StatusCode::NOT_FOUND,
+            Self::BadRequest(_) => StatusCode::BAD_REQUEST,
+            Self::NotFound(_) => StatusCode::NOT_FOUND,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
-            Self::Store(error) if is_rebuilding(error) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
-            Self::Store(_) | Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
+            Self::Store(error) => match **error {
+                store::Error::Rebuilding { .. } => StatusCode::SERVICE_UNAVAILABLE,
+                store::Error::Unusable(_) => StatusCode::BAD_REQUEST,
+                store::Error::Unknown(_) => StatusCode::NOT_FOUND,
+                _ => StatusCode::INTERNAL_SERVER_ERROR,
+            },
+            Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }
 
     fn code(&self) -> &'static str {
         match self {
-            Self::Store(error) if is_rebuilding(error) => "rebuilding",
-            Self::BadRequest(_) | Self::Store(store::Error::Unusable(_)) => "bad_request",
-            Self::NotFound(_) | Self::Store(store::Error::Unknown(_)) => "not_found",
+            Self::BadRequest(_) => "bad_request",
+            Self::NotFound(_) => "not_found",
             Self::MethodNotAllowed => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
             Self::TimedOut { .. } => "timed_out",
-            Self::Store(_) => "store",
+            Self::Store(error) => match **error {
+                store::Error::Rebuilding { .. } => "rebuilding",
+                store::Error::Unusable(_) => "bad_request",
+                store::Error::Unknown(_) => "not_found",
+                _ => "store",
+            },
             Self::Internal(_) => "internal",
         }
     }
@@ -90,10 +99,6 @@ impl IntoResponse for Error {
         }
         response
     }
-}
-
-fn is_rebuilding(error: &store::Error) -> bool {
-    matches!(error, store::Error::Rebuilding { .. })
 }
 
 impl From<store::Error> for Error {

@@ -26,8 +26,8 @@ use crate::feed::{FixEvent, UploadEvent};
 use crate::locating::Expectations;
 use crate::store::testing::some_uploads;
 use crate::store::{
-    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Policy, Progress, Receipt, Region,
-    Snapshot, State, StoredTile, TileInfo, Totals, Upload, Verified,
+    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Policy, Progress, Quarantined,
+    Receipt, Region, Snapshot, State, StoredTile, TileInfo, Totals, Upload, Verified,
 };
 
 /// 2024-10-04
@@ -167,6 +167,10 @@ impl MapStore for FakeStore {
 }
 
 impl Operations for FakeStore {
+    fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+        Ok(Vec::new())
+    }
+
     fn revoke_contributor(&self, _: &str) -> Result<u64, Error> {
         Err(only_read())
     }
@@ -272,7 +276,8 @@ impl Kept {
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options = Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
+        let options =
+            Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {
@@ -281,6 +286,7 @@ impl Kept {
         let router = router(HttpState {
             store: store.clone(),
             operations: store.clone(),
+            expectations: Arc::new(Expectations::new(store.clone(), Search::default(), Integrity::default())),
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),

@@ -69,7 +69,8 @@ fn version(catalog: &[TileInfo], id: TileId) -> u64 {
 
 fn prepare(store: &dyn MapStore, key: &Key) -> Result<Arc<TileWeights>, Error> {
     let mut near = Vec::with_capacity(key.versions.len());
-    for (id, _) in key.id.with_neighbours().into_iter().zip(key.versions).filter(|(_, version)| *version != 0) {
+    for (id, _) in key.id.with_neighbours().into_iter().zip(key.versions).filter(|(_, version)| *version != 0)
+    {
         near.extend(store.tile(id)?.map(|stored| (id, stored.tile)));
     }
     let find = |id| near.iter().find(|(at, _)| *at == id).map(|(_, tile)| &**tile);

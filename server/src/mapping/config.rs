@@ -1,10 +1,10 @@
 //! What an upload must fulfil.
 
+use crate::store::Policy;
 use echofix_core::contribution::Limits;
 use echofix_core::scan::Gate;
 use echofix_core::tile::Decay;
 use echofix_core::vetting;
-use crate::store::Policy;
 use serde::{Deserialize, Serialize};
 
 /// The `[mapping]` section of the configuration.

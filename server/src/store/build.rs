@@ -111,7 +111,8 @@ fn fill(
         if folded >= end {
             break;
         }
-        folded = replay(journal, index, &mut &*fresh, folded, end, &exclusion, &mut vetting, |at| told.at(at))?;
+        folded =
+            replay(journal, index, &mut &*fresh, folded, end, &exclusion, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }
@@ -163,7 +164,8 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     for (number, last) in settles {
         // What was decided after a settlement does not change what was settled.
         let exclusion = index.exclusion(number);
-        folded = replay(journal, index, &mut &scratch, folded, last, &exclusion, &mut vetting, |at| told.at(at))?;
+        folded =
+            replay(journal, index, &mut &scratch, folded, last, &exclusion, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }

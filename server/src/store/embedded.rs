@@ -22,8 +22,8 @@ use super::journal::{Journal, Written};
 use super::manifest::Manifest;
 use super::shared::Shared;
 use super::{
-    Error, Event, Imported, MapStore, Operations, Policy, Progress, Quarantined, Receipt, Region, Snapshot, State, StoredTile,
-    TileInfo, Totals, Upload, Verified, build, clock, io_error,
+    Error, Event, Imported, MapStore, Operations, Policy, Progress, Quarantined, Receipt, Region, Snapshot,
+    State, StoredTile, TileInfo, Totals, Upload, Verified, build, clock, io_error,
 };
 
 /// Where and how an [`EmbeddedStore`] keeps its data.

@@ -65,11 +65,8 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
         _ => return None,
     };
     let known = input.get::<u8>()? == 1;
-    let offset = Offset {
-        east_mm: input.get_signed()?,
-        north_mm: input.get_signed()?,
-        yaw_urad: input.get_signed()?,
-    };
+    let offset =
+        Offset { east_mm: input.get_signed()?, north_mm: input.get_signed()?, yaw_urad: input.get_signed()? };
     let contributor = u64::from_le_bytes(input.rest.try_into().ok()?);
     let upload = Entry { zone, place, offset: known.then_some(offset), contributor, day };
     Some(Quarantined { number, reason, upload })

@@ -18,7 +18,12 @@ mod settling;
 
 fn options(dir: &Path) -> Options {
     use super::Policy;
-    Options { data_dir: dir.to_owned(), cache_bytes: 8 << 20, segment_bytes: 4096, policy: Policy::trusting() }
+    Options {
+        data_dir: dir.to_owned(),
+        cache_bytes: 8 << 20,
+        segment_bytes: 4096,
+        policy: Policy::trusting(),
+    }
 }
 
 fn open(dir: &Path) -> EmbeddedStore {

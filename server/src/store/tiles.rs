@@ -292,7 +292,7 @@ mod tests {
             let at_home = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x: -1 };
             let value = Value::new(at_home, &Folded { version: 3, ..Folded::default() });
             let digest = stamp(&value.info);
-            tiles.put_all(vec![value], 3, digest).unwrap();
+            tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
             let key = if of_state { STATE.to_vec() } else { key(at_home).to_vec() };
             let mut bad = tiles.tree.get(&key).unwrap().unwrap().to_vec();
@@ -311,7 +311,7 @@ mod tests {
         let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x };
         let value = |x, version| Value::new(id(x), &Folded { version, ..Folded::default() });
         let digest = stamp(&value(1, 3).info).wrapping_add(stamp(&value(2, 5).info));
-        tiles.put_all(vec![value(1, 3), value(2, 5)], 5, digest).unwrap();
+        tiles.put_all(vec![value(1, 3), value(2, 5)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
         let kept = tiles.tree.remove(key(id(1))).unwrap().unwrap();
         assert!(tiles.check().is_err());

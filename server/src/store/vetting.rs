@@ -121,7 +121,8 @@ fn by_zone(contribution: &Contribution) -> BTreeMap<Zone, Vec<(TileId, &Share)>>
 fn middle(shares: &[(TileId, &Share)]) -> [f64; 2] {
     let cells: usize = shares.iter().map(|(_, share)| share.cells.len()).sum();
     let weighted = |axis: usize| {
-        let at = |(id, share): &(TileId, &Share)| (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64;
+        let at =
+            |(id, share): &(TileId, &Share)| (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64;
         shares.iter().map(at).sum::<f64>() / cells.max(1) as f64
     };
     [weighted(0), weighted(1)]
@@ -167,7 +168,8 @@ impl Within<'_, '_> {
         if let Some(known) = self.prepared.get(&(id, versions)) {
             return Ok(Some(Arc::clone(known)));
         }
-        let weights = Arc::new(TileWeights::new(id, |at| self.canvas.looked_at(at).map(|folded| &folded.tile)));
+        let weights =
+            Arc::new(TileWeights::new(id, |at| self.canvas.looked_at(at).map(|folded| &folded.tile)));
         if self.prepared.len() >= PREPARED {
             self.prepared.clear();
         }

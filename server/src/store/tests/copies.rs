@@ -157,7 +157,7 @@ fn a_tile_that_is_not_what_the_journal_says_is_named() {
     let served = store.shared.served().unwrap();
     let mut folded = Source::folded(&*served, id).unwrap();
     folded.tile = Tile::default();
-    served.put([(id, folded)].into_iter(), 10).unwrap();
+    served.put([(id, folded)].into_iter(), &[], 10).unwrap();
     assert!(store.verify(false).unwrap().damage.is_empty(), "its checksum is right");
     let found = store.verify(true).unwrap();
     assert!(found.damage.len() == 1 && found.damage[0].contains(&id.to_string()), "{found:?}");

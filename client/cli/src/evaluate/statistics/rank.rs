@@ -19,7 +19,9 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     let mut from = 0;
     for alike in order.chunk_by(|a, b| values[*a].total_cmp(&values[*b]).is_eq()) {
         let shared = from as f64 + 0.5 * (alike.len() as f64 - 1.0);
-        alike.iter().for_each(|index| ranks[*index] = shared);
+        for index in alike {
+            ranks[*index] = shared;
+        }
         from += alike.len();
     }
     ranks
