@@ -31,6 +31,16 @@ impl Alignment {
     }
 }
 
+/// A covariance of (east, north, yaw) after its axes were turned: what lay along an axis lies `by_rad`
+/// counter-clockwise of it.
+#[must_use]
+pub fn turned(covariance: &[[f64; 3]; 3], by_rad: f64) -> [[f64; 3]; 3] {
+    let (s, c) = by_rad.sin_cos();
+    let turn = Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0);
+    // Both are symmetric, so it does not matter that an array's rows become columns.
+    (turn * Matrix3::from(*covariance) * turn.transpose()).into()
+}
+
 /// The prior's covariance and the sigmas that a search must cover: of the position along its longest
 /// axis, metres, and of the heading, radians. `None` unless the matrix is positive definite.
 #[must_use]
@@ -45,6 +55,15 @@ pub fn sigmas(covariance: &[[f64; 3]; 3]) -> Option<(f64, f64)> {
 mod tests {
     use super::*;
     use crate::align::verdict::tests::answer;
+
+    #[test]
+    fn a_turned_covariance_is_long_in_the_turned_direction() {
+        let long_east = [[4.0, 0.0, 0.1], [0.0, 1.0, 0.0], [0.1, 0.0, 0.01]];
+        let turned = turned(&long_east, std::f64::consts::FRAC_PI_2);
+        let expected = [[1.0, 0.0, 0.0], [0.0, 4.0, 0.1], [0.0, 0.1, 0.01]];
+        let off = turned.iter().flatten().zip(expected.iter().flatten()).map(|(a, b)| (a - b).abs());
+        assert!(off.fold(0.0, f64::max) < 1e-12, "{turned:?}");
+    }
 
     #[test]
     fn the_better_known_counts_for_more() {

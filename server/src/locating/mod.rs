@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 pub use config::LocatingConfig;
+use echofix_core::align::combine::turned;
 use echofix_core::align::localizability::Expected;
 use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
@@ -290,7 +291,9 @@ impl Locator {
         let searched_wide = wide.is_some();
         alignment = wide.unwrap_or(alignment);
         let combined = question.combine && alignment.verdict == Verdict::Usable;
-        let combined = combined.then(|| alignment.combined(&prior.pose, &question.covariance)).flatten();
+        // The prior is told in true east and north, the alignment in the grid's.
+        let told = turned(&question.covariance, grid.convergence_rad(question.at)?);
+        let combined = combined.then(|| alignment.combined(&prior.pose, &told)).flatten();
         let contains_prior = combined.is_some();
         alignment = combined.unwrap_or(alignment);
         let align = aligning.elapsed();
