@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::align::weights::TileWeights;
 use crate::datum::Datum;
-use crate::evidence::{Cell, CellHits};
+use crate::evidence::{Cell, CellHits, presence};
 use crate::geo::{CELL_M, CellIndex, Zone};
 use crate::tile::Tile;
 use crate::vetting::moved;
@@ -78,7 +78,9 @@ impl Map {
     /// The map of what one vehicle saw; `err` is what a crowd of ten says that it errs by.
     fn of(cells: &Cells, err: Offset) -> Self {
         let cell = |hit: &CellHits| {
-            (hit.index, Cell { hits: hit.hits, passes: 1, offset_sum: hit.offset_sum, ..Cell::default() })
+            let (passes, contributors, presence) = (1, 1, presence::ALWAYS);
+            let seen = Cell { passes, contributors, presence, ..Cell::default() };
+            (hit.index, Cell { hits: hit.hits, offset_sum: hit.offset_sum, ..seen })
         };
         let tile =
             |hits: &Vec<CellHits>| Tile::from_cells(hits.iter().map(cell).collect()).expect("in order");

@@ -1,6 +1,6 @@
 //! An answer asked again of the exhaustive engine: what agrees and what does not is counted.
 
-use echofix_core::evidence::Cell;
+use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, Grid, LatLon, TileId};
 use echofix_core::pose::Pose2;
 use echofix_core::tile::Tile;
@@ -27,7 +27,14 @@ fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
         let id = TileId::of_cell(grid.zone(), cell);
         let first = id.first_cell();
         let index = (cell.y - first.y) * 512 + cell.x - first.x;
-        let middle = Cell { hits: 1, passes: 1, offset_sum: [128, 128], ..Cell::default() };
+        let middle = Cell {
+            hits: 1,
+            passes: 1,
+            contributors: 1,
+            presence: presence::ALWAYS,
+            offset_sum: [128, 128],
+            ..Cell::default()
+        };
         tiles.entry(id).or_default().insert(index as u32, middle);
     }
     let store = FakeStore::default();
