@@ -90,7 +90,7 @@ impl MappingConfig {
         let limits = vetting::Limits { shift_m, yaw_rad, ..vetting::Limits::default() };
         Policy {
             publish_contributors: self.publish_contributors,
-            decay: Decay { half_life_days: self.half_life_days, expire_days: self.expire_days },
+            decay: Some(Decay { half_life_days: self.half_life_days, expire_days: self.expire_days }),
             vetting: self.vet.then_some(limits),
         }
     }

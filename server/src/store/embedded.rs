@@ -188,11 +188,13 @@ impl MapStore for EmbeddedStore {
             return Ok(None);
         }
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
-        let StoredTile { version, tile, .. } = generation.tiles.stored(id)?.ok_or_else(lost)?;
+        let stored = generation.tiles.stored(id)?.ok_or_else(lost)?;
         let today = generation.catalog().newest_day();
-        let tile = self.shared.policy.served(&tile, today);
-        let encoded = echofix_core::tile::encode(&tile).into();
-        Ok(Some(StoredTile { version, tile: tile.into(), encoded }))
+        let served = self.shared.policy.served(&stored.tile, today);
+        Ok(Some(served.map_or(stored.clone(), |tile| {
+            let encoded = echofix_core::tile::encode(&tile).into();
+            StoredTile { version: stored.version, tile: tile.into(), encoded }
+        })))
     }
 
     fn catalog(

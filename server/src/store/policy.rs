@@ -8,9 +8,9 @@ use echofix_core::vetting::Limits;
 pub struct Policy {
     /// Distinct contributors that must have seen something near a cell for it to be served.
     pub publish_contributors: u8,
-    /// How evidence that nobody confirms loses its worth. Days are counted back from the newest day of
+    /// How evidence that nobody confirms loses its worth; without, it keeps it. Days are counted back from the newest day of
     /// the map: it needs no clock, and maps of recorded drives do not fade.
-    pub decay: Decay,
+    pub decay: Option<Decay>,
     /// How far an upload may be off the map that exists; without, everything counts.
     pub vetting: Option<Limits>,
 }
@@ -19,11 +19,13 @@ impl Policy {
     /// Everything counts and is served: for a fleet that is trusted.
     #[must_use]
     pub fn trusting() -> Self {
-        Self { publish_contributors: 1, decay: Decay::default(), vetting: None }
+        Self { publish_contributors: 1, decay: None, vetting: None }
     }
 
-    /// The tile as it is served on a map whose newest day is `today`.
-    pub(super) fn served(&self, tile: &Tile, today: u16) -> Tile {
-        tile.published(self.publish_contributors, Some(today), &self.decay)
+    /// The tile as it is served on a map whose newest day is `today`; `None` when all of it is.
+    pub(super) fn served(&self, tile: &Tile, today: u16) -> Option<Tile> {
+        let all = self.publish_contributors <= 1 && self.decay.is_none();
+        let decay = self.decay.unwrap_or_default();
+        (!all).then(|| tile.published(self.publish_contributors, self.decay.map(|_| today), &decay))
     }
 }
