@@ -72,7 +72,9 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
 fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
-    let uploads = by_cars(&store, some_uploads(30));
+    let mut uploads = by_cars(&store, some_uploads(30));
+    // Whoever comes again after a settlement is not recognised, and counts as one more contributor.
+    uploads[10..].iter_mut().for_each(|upload| upload.pass.contributor ^= 1 << 63);
     commit_on(&store, 100, &uploads[..10]);
     let revoked = store.revoke_upload(uploads[2].id).unwrap();
     commit_on(&store, 102, &uploads[10..]);
@@ -151,10 +153,11 @@ proptest! {
         let mut store = open(dir.path());
         let mut left: Vec<Upload> = Vec::new();
         for (day, (uploads, then)) in (200..).zip(days) {
-            // No pass has uploads on both sides of a settlement: its votes would count on either.
+            // No contributor comes on both sides of a settlement: it would count on either.
             let mut uploads = distinct(uploads);
             for upload in &mut uploads {
                 upload.pass.day = day;
+                upload.pass.contributor += 1_000 * u64::from(day);
             }
             commit_on(&store, day, &uploads);
             left.extend(uploads);
