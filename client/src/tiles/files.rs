@@ -82,9 +82,20 @@ pub(super) fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut file = File::open(path)?;
     let mut contents = Vec::new();
     file.read_to_end(&mut contents)?;
+    note_use(&file);
+    Ok(contents)
+}
+
+/// Writes a file that appears whole or not at all; writing it is a use.
+pub(super) fn write(zone: &Path, path: &Path, contents: &[u8]) -> io::Result<()> {
+    disk::write_durably(zone, path, contents)?;
+    // The file system's own times are as coarse as its ticks.
+    File::open(path).map(|file| note_use(&file))
+}
+
+fn note_use(file: &File) {
     // Without it the tile only goes earlier.
     let _ = file.set_modified(SystemTime::now());
-    Ok(contents)
 }
 
 /// Removes a file, if it is there.

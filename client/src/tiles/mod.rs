@@ -198,7 +198,7 @@ impl Inner {
         let replaced = self.index().name(name.id);
         let evicted = self.make_room(Some((name.id, bytes)), since)?;
         let zone = files::zone_folder(&self.dir, name.id)?;
-        disk::write_durably(&zone, &path, encoded).map_err(io_error(&path))?;
+        files::write(&zone, &path, encoded).map_err(io_error(&path))?;
         self.index().insert(name, bytes);
         // Only now: whenever the process ends, there is one that is whole.
         match replaced.filter(|old| *old != name) {
