@@ -79,7 +79,8 @@ impl Want {
 
 /// An area and what is near it.
 struct Beside {
-    latitudes_deg: RangeInclusive<f64>,
+    /// Degrees.
+    latitudes: RangeInclusive<f64>,
     west_deg: f64,
     /// Eastwards from there.
     width_deg: f64,
@@ -92,14 +93,14 @@ impl Beside {
         let beside_deg = BESIDE_DEG / widest.to_radians().cos();
         let across = if area.west_deg <= area.east_deg { 0.0 } else { 360.0 };
         let width_deg = area.east_deg + across - area.west_deg + 2.0 * beside_deg;
-        Self { latitudes_deg: south_deg..=north_deg, west_deg: area.west_deg - beside_deg, width_deg }
+        Self { latitudes: south_deg..=north_deg, west_deg: area.west_deg - beside_deg, width_deg }
     }
 
     fn holds(&self, id: TileId) -> bool {
         let [x, y] = id.origin();
         let middle = Grid::new(id.zone).and_then(|grid| grid.unproject([x + TILE_M / 2.0, y + TILE_M / 2.0]));
         middle.is_ok_and(|at| {
-            self.latitudes_deg.contains(&at.lat_deg)
+            self.latitudes.contains(&at.lat_deg)
                 && (at.lon_deg - self.west_deg).rem_euclid(360.0) <= self.width_deg
         })
     }
