@@ -208,7 +208,7 @@ async fn a_killed_download_goes_on_where_it_was() {
         .stdout(Stdio::null())
         .spawn()
         .expect("echofix can be run");
-    until_blocking("a tile has come", Duration::from_secs(60), || {
+    until_blocking("a tile has come", Duration::from_mins(1), || {
         let files = fs::read_dir(dir.join("32614")).into_iter().flatten().flatten();
         files.into_iter().any(|file| file.path().extension().is_some_and(|e| e == "tile")).then_some(())
     });
