@@ -9,14 +9,15 @@
 //! - [`Localizer`]: sends the question, with a deadline and retries.
 //! - [`upload`]: contributing to the map: the recorder cuts a drive into uploads, the spool keeps them
 //!   on disk, the uploader sends them until each is acknowledged.
+//! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
 //! - [`refusal`]: what a call came back with, typed.
 //! - [`backoff`]: how long to wait before asking again.
 //! - [`wire`]: between the values of [`echofix_core`] and the columns of the contract.
 //! - [`drivelog`]: drives on disk, as MCAP or CSV, and their replay.
 //! - [`import`]: other people's radar data as drives.
 //!
-//! Nothing here reads a clock but the waits and deadlines of calls, and the ids of uploads: time is
-//! what the sensors say.
+//! Nothing here reads a clock but the waits and deadlines of calls, the ids of uploads, and the cache's notes of
+//! which tile was used when: time is what the sensors say.
 //!
 //! ```no_run
 //! use echofix_client::service::Service;
@@ -34,6 +35,7 @@
 //! ```
 
 pub mod backoff;
+mod disk;
 pub mod drivelog;
 pub mod filter;
 mod gate;
@@ -43,6 +45,7 @@ pub mod refusal;
 pub mod service;
 #[cfg(test)]
 mod testing;
+pub mod tiles;
 pub mod upload;
 pub mod vehicle;
 pub mod wire;

@@ -35,7 +35,11 @@ async fn tiles(server: &Running, request: GetTilesRequest) -> Result<(Vec<TileDa
     let mut tiles = Vec::new();
     while let Some(message) = stream.message().await? {
         match message.part.unwrap() {
-            Part::Tile(tile) => tiles.push(tile),
+            Part::Tile(tile) => {
+                assert_eq!(tile.encoded_bytes, tile.encoded.len() as u64, "a small tile comes in one piece");
+                tiles.push(tile);
+            }
+            Part::Piece(_) => panic!("a small tile comes in one piece"),
             Part::Summary(summary) => {
                 assert!(stream.message().await?.is_none(), "the summary is the last message");
                 return Ok((tiles, summary));

@@ -27,9 +27,9 @@ pub async fn mapping(service: &Service) -> MappingServiceClient<Channel> {
     MappingServiceClient::new(connect(service).await)
 }
 
-/// A client that reads the map. A tile may be larger than gRPC's usual 4 MiB.
+/// A client that reads the map.
 pub async fn reading(service: &Service) -> MapServiceClient<Channel> {
-    MapServiceClient::new(connect(service).await).max_decoding_message_size(16 << 20)
+    MapServiceClient::new(connect(service).await)
 }
 
 /// The vehicle library's localizer, more patient than a vehicle.

@@ -10,6 +10,7 @@
 //! - [`town`]: a town of two blocks, and drives in it.
 //! - [`mapping`]: a drive goes to the map.
 //! - [`tiles`]: the map as a caller gets it.
+//! - [`wiretap`]: a way to the service that counts the bytes on it.
 //! - [`asking`]: a drive asks where it is; errors against the truth, percentiles.
 //! - [`world`]: a town that is mapped, and the service that holds its map.
 //!
@@ -29,6 +30,7 @@ pub mod service;
 pub mod tiles;
 pub mod town;
 pub mod traffic;
+pub mod wiretap;
 pub mod world;
 
 use std::time::{Duration, Instant};

@@ -13,14 +13,19 @@ use tonic::transport::Channel;
 use crate::service::Service;
 use crate::{grpc, http, until};
 
+/// How drives are recorded here: the vehicle's way, but to their very ends, for the town is small.
+pub fn whole() -> Config {
+    Config { trim_ends_m: 0.0, ..Config::default() }
+}
+
 /// A drive as the uploads the vehicle's recorder makes of it.
 pub fn uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, Config::default())
+    uploads_as(drive, whole())
 }
 
 /// The same as scans.
 pub fn scan_uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, Config { form: Form::Scans, ..Config::default() })
+    uploads_as(drive, Config { form: Form::Scans, ..whole() })
 }
 
 /// The same, recorded in some other way.

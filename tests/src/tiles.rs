@@ -21,7 +21,7 @@ pub type Tiles = BTreeMap<TileId, (u64, Vec<u8>)>;
 pub const EVERYWHERE: GeodeticBox =
     GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
 
-/// Asks for tiles; checks that the summary comes last and counts what was sent.
+/// Asks for tiles; checks their pieces, and that the summary comes last and counts what was sent.
 ///
 /// # Errors
 /// The service's refusal.
@@ -33,22 +33,39 @@ pub async fn get(
     let request = GetTilesRequest { selection: Some(selection), have };
     let mut parts = client.get_tiles(request).await?.into_inner();
     let mut tiles = Tiles::new();
+    // The tile that began last, and the bytes it lacks.
+    let mut last = None;
+    let mut lacking = 0;
     while let Some(part) = parts.message().await? {
-        match part.part.expect("a part is a tile or the summary") {
+        match part.part.expect("a part is a tile, a piece or the summary") {
             Part::Tile(tile) => {
+                assert_eq!(lacking, 0, "a tile begins before the last one has ended");
+                lacking = rest_after(tile.encoded_bytes, &tile.encoded);
                 let version = tile.version.expect("a tile has a version");
                 let id = id(&version.tile.expect("a version names its tile"));
                 let before = tiles.insert(id, (version.version, tile.encoded));
                 assert!(before.is_none(), "tile {id} came twice");
+                last = Some(id);
+            }
+            Part::Piece(piece) => {
+                lacking = rest_after(lacking, &piece.encoded);
+                let tile = last.as_ref().and_then(|id| tiles.get_mut(id)).expect("a piece follows its tile");
+                tile.1.extend(piece.encoded);
             }
             Part::Summary(summary) => {
-                assert_eq!(summary.sent as usize, tiles.len());
+                assert_eq!((summary.sent as usize, lacking), (tiles.len(), 0));
                 assert!(parts.message().await?.is_none(), "the summary is the last message");
                 return Ok((tiles, summary));
             }
         }
     }
     panic!("the answer ended without a summary");
+}
+
+/// What a tile lacks after a piece, bytes.
+fn rest_after(lacking: u64, piece: &[u8]) -> u64 {
+    assert!((1..=512 << 10).contains(&piece.len()), "a piece of {} bytes", piece.len());
+    lacking.checked_sub(piece.len() as u64).expect("a tile is not longer than it was said to be")
 }
 
 /// The whole map.

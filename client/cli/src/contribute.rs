@@ -64,6 +64,12 @@ pub struct Contributed {
     pub left_out: LeftOut,
 }
 
+/// How simulated drives are recorded: to their very ends, for nobody lives there.
+#[must_use]
+pub fn simulated() -> RecorderConfig {
+    RecorderConfig { trim_ends_m: 0.0, ..RecorderConfig::default() }
+}
+
 /// Uploads a drive and waits until the service has it.
 ///
 /// # Errors

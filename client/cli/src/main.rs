@@ -55,6 +55,8 @@ enum Command {
     Map(commands::map::Args),
     /// Replay a drive log against the service, and compare its answers with the truth.
     Localize(commands::localize::Args),
+    /// Keep a copy of a region's map in a folder, as vehicles do.
+    Tiles(commands::tiles::Args),
     /// Repeat the paper's experiments on simulated towns or drive logs.
     Evaluate(commands::evaluate::Args),
     /// Show what a running service holds and whether it is ready.
@@ -83,6 +85,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
         Command::Bench(args) => in_runtime(commands::bench::run(args, json)),
         Command::Map(args) => in_runtime(commands::map::run(args, json)),
+        Command::Tiles(args) => in_runtime(commands::tiles::run(args, json)),
         Command::Localize(args) => in_runtime(commands::localize::run(args, json)),
     }
 }

@@ -38,7 +38,8 @@ pub struct Config {
     /// Scans may come this much later than the poses that cover them, seconds.
     pub lateness_s: f64,
     /// Nothing is recorded within this distance of where a trip began and where it ended, metres, so
-    /// that uploads do not tell either place. A stop of two minutes ends a trip. 0 records all.
+    /// that uploads do not tell either place. A stop of two minutes ends a trip. 100 m unless set; 0
+    /// records all, which is for vehicles whose ends are nobody's secret, such as a survey's.
     pub trim_ends_m: f64,
 }
 
@@ -54,7 +55,7 @@ impl Default for Config {
             cut_after_s: 10.0,
             cut_after_m: 100.0,
             lateness_s: 0.5,
-            trim_ends_m: 0.0,
+            trim_ends_m: 100.0,
         }
     }
 }

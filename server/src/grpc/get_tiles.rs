@@ -1,22 +1,23 @@
-//! `MapService.GetTiles`: the tiles a caller lacks, in order, then a summary.
+//! `MapService.GetTiles`: the tiles a caller lacks, in order and in pieces, then a summary.
 
 mod area;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
 
 use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::get_tiles_response::Part;
-use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TilesSummary};
+use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TilePiece, TilesSummary};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
 use super::violation::{Violation, require, required};
 use super::{blocking, status, tile_id};
-use crate::store::{self, MapStore};
+use crate::store::{self, MapStore, StoredTile};
 
 /// Tiles asked for by id, at most.
 const MAX_IDS: usize = 1_024;
@@ -24,6 +25,8 @@ const MAX_IDS: usize = 1_024;
 const MAX_AREA: usize = 4_096;
 /// Versions a caller may say it has.
 const MAX_HAVE: usize = 16_384;
+/// Bytes of a tile that go into one message, at most.
+const MAX_PIECE: usize = 512 << 10;
 
 /// The answer, as fast as the caller takes it.
 pub(super) type Answer = ReceiverStream<Result<GetTilesResponse, Status>>;
@@ -72,25 +75,42 @@ async fn send(
     for id in plan.send {
         let store = store.clone();
         let read = blocking(move || store.tile(id).map_err(|error| status::store(&error))).await;
-        let part = match read.and_then(|read| read) {
-            Ok(Some(tile)) => {
-                summary.sent += 1;
-                let version = v1::TileVersion { tile: Some(tile_id(id)), version: tile.version };
-                Ok(Part::Tile(TileData { version: Some(version), encoded: tile.encoded.into() }))
+        let tile = match read.and_then(|read| read) {
+            Ok(Some(tile)) => tile,
+            // Taken back since the catalog was asked.
+            Ok(None) => {
+                summary.absent.push(tile_id(id));
+                continue;
             }
-            // Tiles are never taken out of the map while it is served.
-            Ok(None) => continue,
-            Err(status) => Err(status),
+            Err(status) => {
+                // A caller that went away needs no reason.
+                let _ = sender.send_timeout(Err(status), stall).await;
+                return;
+            }
         };
-        let failed = part.is_err();
-        let message = part.map(|part| GetTilesResponse { part: Some(part) });
-        if sender.send_timeout(message, stall).await.is_err() || failed {
-            return;
+        summary.sent += 1;
+        for part in parts(id, &tile) {
+            let message = GetTilesResponse { part: Some(part) };
+            if sender.send_timeout(Ok(message), stall).await.is_err() {
+                return;
+            }
         }
     }
     let last = GetTilesResponse { part: Some(Part::Summary(summary)) };
     // A caller that went away needs no summary.
     let _ = sender.send_timeout(Ok(last), stall).await;
+}
+
+/// A tile as messages, each made when it is its turn.
+fn parts(id: TileId, tile: &StoredTile) -> impl Iterator<Item = Part> {
+    let encoded = &tile.encoded;
+    let first = TileData {
+        version: Some(v1::TileVersion { tile: Some(tile_id(id)), version: tile.version }),
+        encoded: encoded[..encoded.len().min(MAX_PIECE)].to_vec(),
+        encoded_bytes: encoded.len() as u64,
+    };
+    let rest = encoded.chunks(MAX_PIECE).skip(1);
+    iter::once(Part::Tile(first)).chain(rest.map(|piece| Part::Piece(TilePiece { encoded: piece.to_vec() })))
 }
 
 fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {

@@ -27,8 +27,8 @@ use crate::locating::Locator;
 /// Bytes of a stream and of a connection that may be under way before they are read.
 const STREAM_WINDOW: u32 = 1 << 20;
 const CONNECTION_WINDOW: u32 = 4 << 20;
-/// A full tile stays far below.
-const MAX_TILE_MESSAGE: usize = 16 << 20;
+/// Bytes of an answer: a piece of a tile stays far below, and so do the names of all tiles of an area.
+const MAX_ANSWER: usize = 4 << 20;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(
@@ -43,7 +43,7 @@ pub(super) async fn serve(
     let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, limits.stall());
     let mapping = MappingServiceServer::new(mapping)
         .max_decoding_message_size(message_bytes)
-        .max_encoding_message_size(MAX_TILE_MESSAGE)
+        .max_encoding_message_size(MAX_ANSWER)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let locator = Arc::new(Locator::new(store.clone(), shared.config.locating));
@@ -55,7 +55,7 @@ pub(super) async fn serve(
     let map = MapApi::new(store.clone(), expectations.clone(), reads_at_once, limits.stall());
     let map = MapServiceServer::new(map)
         .max_decoding_message_size(message_bytes)
-        .max_encoding_message_size(MAX_TILE_MESSAGE)
+        .max_encoding_message_size(MAX_ANSWER)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let (reporter, health) = tonic_health::server::health_reporter();

@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use echofix_client::upload::Config as RecorderConfig;
 use echofix_core::drive::Drive;
 use echofix_sim::{City, CityParams, Route};
 use indicatif::ProgressBar;
@@ -38,7 +37,7 @@ impl Town {
             let drive = simulate::drive(&city, 0, &Route::survey(&city, seed), name, seed)?;
             let spool = folder.join(format!("spool-{vehicle}"));
             let bar = ProgressBar::hidden();
-            contribute::upload(&drive, &service.grpc, &spool, RecorderConfig::default(), &bar).await?;
+            contribute::upload(&drive, &service.grpc, &spool, contribute::simulated(), &bar).await?;
         }
         service.settled().await?;
         service.stop().await?;

@@ -10,7 +10,6 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use echofix_client::upload::Config as RecorderConfig;
 use echofix_core::drive::Drive;
 use echofix_sim::{City, CityParams, Route};
 
@@ -104,7 +103,7 @@ async fn map(
         next = vehicles.next().map(drive);
         let spool = folder.join(format!("spool-{}", drive_of_one.vehicle));
         let done =
-            contribute::upload(&drive_of_one, &service.grpc, &spool, RecorderConfig::default(), &bar).await?;
+            contribute::upload(&drive_of_one, &service.grpc, &spool, contribute::simulated(), &bar).await?;
         mapped.kilometres += drive_of_one.odometry.travelled_m() / 1e3;
         mapped.detections += done.detections;
         mapped.bytes += done.bytes;

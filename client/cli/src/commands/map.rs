@@ -47,6 +47,10 @@ pub struct Args {
     /// has a limit of its own, see `mapping.max_sigma_yaw_deg`.
     #[arg(long, default_value_t = 0.5)]
     max_sigma_yaw_deg: f64,
+    /// Nothing is mapped within this distance of where a drive began and where it ended, metres. Vehicles
+    /// leave out 100 m, for where people live is private; logs given by hand are the operator's own.
+    #[arg(long, default_value_t = 0.0)]
+    trim_ends_m: f64,
 }
 
 /// Runs the subcommand.
@@ -65,6 +69,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
         form: if args.raw { Form::Scans } else { Form::Evidence },
         max_sigma_position_m: args.max_sigma_m,
         max_sigma_yaw_rad: args.max_sigma_yaw_deg.to_radians(),
+        trim_ends_m: args.trim_ends_m,
         ..RecorderConfig::default()
     };
     for path in &args.drives {

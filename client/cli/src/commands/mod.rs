@@ -10,6 +10,7 @@ mod map_operations;
 pub mod serve;
 pub mod simulate;
 pub mod status;
+pub mod tiles;
 
 use std::ops::RangeInclusive;
 use std::str::FromStr;

@@ -22,6 +22,11 @@ fn scan(ms: i64) -> Scan {
     Scan { time_us: T0 + ms * 1000, range_m: columns(), azimuth_rad: vec![0.1, 0.2], ..Scan::default() }
 }
 
+/// Records a trip to its very ends.
+fn whole() -> Config {
+    Config { trim_ends_m: 0.0, ..Config::default() }
+}
+
 fn recorder(config: Config) -> Recorder {
     Recorder::new(Config { form: Form::Scans, ..config }, "car-1", vec![Mount::IDENTITY]).unwrap()
 }
@@ -52,7 +57,7 @@ fn scan_times(uploads: &[Upload]) -> Vec<i64> {
 
 #[test]
 fn a_drive_becomes_uploads_that_hold_every_scan_once() {
-    let mut r = recorder(Config { cut_after_m: 1e9, ..Config::default() });
+    let mut r = recorder(Config { cut_after_m: 1e9, ..whole() });
     let mut uploads = record(&mut r, 305, |_, _| ());
     assert_eq!(uploads.len(), 3, "30.5 s less the lateness, in pieces of 10 s");
     uploads.extend(r.finish());
@@ -67,13 +72,13 @@ fn a_drive_becomes_uploads_that_hold_every_scan_once() {
 
 #[test]
 fn a_long_way_cuts_as_well() {
-    let mut r = recorder(Config { cut_after_m: 50.0, ..Config::default() });
+    let mut r = recorder(Config { cut_after_m: 50.0, ..whole() });
     assert_eq!(record(&mut r, 200, |_, _| ()).len(), 3);
 }
 
 #[test]
 fn scans_late_by_less_than_allowed_are_kept_and_later_ones_refused() {
-    let mut r = recorder(Config { cut_after_s: 1.0, ..Config::default() });
+    let mut r = recorder(Config { cut_after_s: 1.0, ..whole() });
     let mut uploads = Vec::new();
     for i in 0..=30 {
         uploads.extend(r.push_pose(pose(i * 100, i as f64)).unwrap());
@@ -88,7 +93,7 @@ fn scans_late_by_less_than_allowed_are_kept_and_later_ones_refused() {
 
 #[test]
 fn doubtful_poses_leave_a_hole_and_are_counted() {
-    let mut r = recorder(Config::default());
+    let mut r = recorder(whole());
     let mut uploads = record(&mut r, 90, |i, p| {
         if (30..40).contains(&i) {
             p.sigma_position_m = 0.5;
@@ -104,7 +109,7 @@ fn doubtful_poses_leave_a_hole_and_are_counted() {
 
 #[test]
 fn standstill_is_not_recorded() {
-    let mut r = recorder(Config::default());
+    let mut r = recorder(whole());
     let mut uploads = Vec::new();
     for i in 0..300 {
         uploads.extend(r.push_pose(pose(i * 100, 0.0)).unwrap());
@@ -117,7 +122,7 @@ fn standstill_is_not_recorded() {
 
 #[test]
 fn odometry_tells_movers_where_poses_jitter() {
-    let mut r = recorder(Config::default());
+    let mut r = recorder(whole());
     for i in 0..=20 {
         // Poses jitter by 0.2 m; by their differences everything would move.
         let jitter = if i % 2 == 0 { 0.2 } else { -0.2 };
@@ -145,6 +150,18 @@ fn the_ends_of_a_trip_stay_private() {
     }
 }
 
+/// Breaks when a vehicle that sets nothing tells where it was parked.
+#[test]
+fn the_ends_stay_private_unless_somebody_asks_for_them() {
+    let mut r = recorder(Config::default());
+    assert!(record(&mut r, 95, |_, _| ()).is_empty(), "95 m from the start");
+    let mut r = recorder(Config::default());
+    let mut uploads = record(&mut r, 400, |_, _| ());
+    uploads.extend(r.finish());
+    let times = scan_times(&uploads);
+    assert!(times[0] >= 9_950 && *times.last().unwrap() <= 30_050, "{:?}", (times[0], times.last()));
+}
+
 #[test]
 fn a_parked_vehicle_has_arrived_and_holds_nothing_back() {
     let mut r = recorder(Config { trim_ends_m: 20.0, ..Config::default() });
@@ -161,7 +178,7 @@ fn a_parked_vehicle_has_arrived_and_holds_nothing_back() {
 
 #[test]
 fn without_poses_scans_do_not_pile_up() {
-    let mut r = recorder(Config::default());
+    let mut r = recorder(whole());
     for i in 0..10_000 {
         r.push_scan(scan(i * 50)).unwrap();
     }
@@ -172,7 +189,7 @@ fn without_poses_scans_do_not_pile_up() {
 #[test]
 fn what_cannot_be_recorded_is_refused() {
     assert!(matches!(Recorder::new(Config::default(), "", vec![]), Err(Error::Contributor(_))));
-    let mut r = recorder(Config::default());
+    let mut r = recorder(whole());
     r.push_pose(pose(0, 0.0)).unwrap();
     assert!(matches!(r.push_pose(pose(0, 0.0)), Err(Error::TooLate { .. })));
     let nan = GeoPose { yaw_rad: f64::NAN, ..pose(1, 0.0) };

@@ -3,14 +3,11 @@
 //! A file is the magic `EFXSPL01`, the CRC-32C of the rest (4 bytes, little-endian), its length
 //! (8 bytes, little-endian), and the upload's messages, each preceded by its length.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use super::super::Damaged;
-
-/// Ending of files that are being written.
-pub(super) const PART: &str = "part";
 
 const MAGIC: &[u8; 8] = b"EFXSPL01";
 const HEADER: usize = 20;
@@ -40,24 +37,6 @@ pub(super) fn open(contents: &[u8]) -> Result<&[u8], Damaged> {
         return Err(Damaged("the checksum does not match"));
     }
     Ok(body)
-}
-
-/// Writes a file that appears whole or not at all, and stays.
-pub(super) fn write_durably(dir: &Path, path: &Path, contents: &[u8]) -> io::Result<()> {
-    let part = path.with_extension(PART);
-    let written = write_synced(&part, contents).and_then(|()| fs::rename(&part, path));
-    if let Err(error) = written {
-        // What is left is removed at the next opening if not now.
-        let _ = fs::remove_file(&part);
-        return Err(error);
-    }
-    File::open(dir)?.sync_all()
-}
-
-fn write_synced(path: &Path, contents: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(contents)?;
-    file.sync_all()
 }
 
 /// Deletes the oldest files of a folder (by name) beyond a number of bytes.

@@ -17,7 +17,7 @@
 mod file;
 
 use std::collections::{BTreeMap, HashSet};
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -25,6 +25,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use uuid::Uuid;
 
 use super::Upload;
+use crate::disk;
 
 const ENDING: &str = "upload";
 
@@ -116,7 +117,7 @@ impl Spool {
                     state.bytes += bytes;
                 }
                 // Never accepted: a crash came before the rename.
-                (_, Some(file::PART)) => fs::remove_file(&path).map_err(|e| io_error(&path, e))?,
+                (_, Some(disk::PART)) => fs::remove_file(&path).map_err(|e| io_error(&path, e))?,
                 _ => {}
             }
         }
@@ -132,7 +133,7 @@ impl Spool {
         let bytes = contents.len() as u64;
         self.reserve(upload.id(), bytes)?;
         let path = self.path_of(upload.id());
-        let written = file::write_durably(&self.dir, &path, &contents);
+        let written = disk::write_durably(&self.dir, &path, &contents);
         let mut state = self.state();
         match written {
             Ok(()) => {
@@ -256,12 +257,8 @@ impl Spool {
 
 fn lock(dir: &Path) -> Result<File, Error> {
     let path = dir.join("lock");
-    let file = File::create(&path).map_err(|e| io_error(&path, e))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(Error::InUse { dir: dir.to_owned() }),
-        Err(TryLockError::Error(e)) => Err(io_error(&path, e)),
-    }
+    let lock = disk::lock(&path).map_err(|e| io_error(&path, e))?;
+    lock.ok_or_else(|| Error::InUse { dir: dir.to_owned() })
 }
 
 fn id_of(path: &Path) -> Option<Uuid> {

@@ -1,0 +1,92 @@
+//! `echofix tiles`: a vehicle's copy of the map, as an operator looks at it.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use echofix_client::service::Service;
+use echofix_client::tiles::{Limits, Synced, TileCache, Want};
+use echofix_proto::v1::GeodeticBox;
+
+/// Arguments of `echofix tiles`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    operation: Operation,
+}
+
+#[derive(clap::Subcommand)]
+enum Operation {
+    /// Download what changed of a region's map into a folder, and remove what is no longer in it.
+    Sync {
+        /// The folder; one that an earlier run filled is brought up to date.
+        dir: PathBuf,
+        /// West, south, east, north in degrees, separated by commas; all of the map without it.
+        #[arg(long, allow_hyphen_values = true, value_parser = area)]
+        area: Option<GeodeticBox>,
+        /// Address of the service's gRPC port.
+        #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
+        server: String,
+        /// The folder may hold this many megabytes; what was not used for longest goes first.
+        #[arg(long, default_value_t = 1_000)]
+        max_mb: u64,
+    },
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When the service is out of reach or refuses, or the folder cannot be used.
+pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+    let Operation::Sync { dir, area, server, max_mb } = args.operation;
+    let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
+    let limits = Limits { max_bytes: max_mb.saturating_mul(1_000_000) };
+    let cache = TileCache::open(dir, limits)?;
+    let service = Service::at(server).endpoint()?;
+    let done = cache.sync(&service, &Want::Area(area.unwrap_or(everywhere))).await?;
+    report(&done, &cache, json);
+    Ok(())
+}
+
+fn report(done: &Synced, cache: &TileCache, json: bool) {
+    let Synced { epoch, fetched, bytes, unchanged, removed, evicted } = *done;
+    let (tiles, held) = (cache.versions().len(), cache.bytes());
+    if json {
+        let folder = serde_json::json!({ "tiles": tiles, "bytes": held });
+        println!(
+            "{}",
+            serde_json::json!({
+                "epoch": epoch, "fetched": fetched, "bytes": bytes, "unchanged": unchanged,
+                "removed": removed, "evicted": evicted, "folder": folder,
+            })
+        );
+        return;
+    }
+    println!("{fetched} tiles in {:.1} kB, {unchanged} unchanged, {removed} removed", bytes as f64 / 1e3);
+    if evicted > 0 {
+        println!("{evicted} that were not used for longest made room");
+    }
+    println!("the folder holds {tiles} tiles in {:.1} kB; the map's epoch is {epoch}", held as f64 / 1e3);
+}
+
+fn area(text: &str) -> anyhow::Result<GeodeticBox> {
+    let expected = "expected west,south,east,north in degrees, like -97.8,30.2,-97.7,30.3";
+    let degrees: Vec<f64> =
+        text.split(',').map(|part| part.trim().parse()).collect::<Result<_, _>>().context(expected)?;
+    ensure!(degrees.len() == 4, expected);
+    let [west_deg, south_deg, east_deg, north_deg] = [degrees[0], degrees[1], degrees[2], degrees[3]];
+    Ok(GeodeticBox { south_deg, west_deg, north_deg, east_deg })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn areas_are_read_west_first() {
+        let read = area("-97.8,30.2, -97.7,30.3").unwrap();
+        assert_eq!((read.west_deg, read.north_deg), (-97.8, 30.3));
+        for text in ["", "1,2,3", "1,2,3,4,5", "a,b,c,d"] {
+            assert!(area(text).unwrap_err().to_string().contains("west,south"), "{text}");
+        }
+    }
+}
