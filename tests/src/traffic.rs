@@ -112,12 +112,10 @@ async fn drive_on(mut client: MappingServiceClient<Channel>, uploads: Arc<Upload
     let mut told = Acknowledgements::default();
     loop {
         let number = uploads.fresh();
-        match mapping::send(&mut client, &uploads.parts(number)).await {
-            Ok(answer) => drop(told.answers.insert(number, answer)),
-            Err(_) => {
-                told.open.push(number);
-                return told;
-            }
-        }
+        let Ok(answer) = mapping::send(&mut client, &uploads.parts(number)).await else {
+            told.open.push(number);
+            return told;
+        };
+        told.answers.insert(number, answer);
     }
 }

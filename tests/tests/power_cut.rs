@@ -122,13 +122,14 @@ fn a_store_that_acknowledges_on_the_flush_of_sled_is_caught() {
 fn written(disk: &mut Disk, moment: Duration) -> BTreeSet<u64> {
     let mut writer = Command::new(STORE);
     writer.arg("write").arg(disk.path().join("sled")).stdout(Stdio::piped());
-    let mut writer = writer.spawn().unwrap();
-    let lines = BufReader::new(writer.stdout.take().unwrap()).lines();
-    let reader =
-        std::thread::spawn(move || lines.map_while(Result::ok).map(|l| l.parse().unwrap()).collect());
+    let mut writer = writer.spawn().expect("the store can be run");
+    let lines = BufReader::new(writer.stdout.take().expect("it is piped")).lines();
+    let reader = std::thread::spawn(move || {
+        lines.map_while(Result::ok).map(|l| l.parse().expect("a number a line")).collect()
+    });
     std::thread::sleep(moment);
-    writer.kill().unwrap();
-    writer.wait().unwrap();
+    writer.kill().expect("the store can be killed");
+    writer.wait().expect("the store is ours to wait for");
     disk.cut();
-    reader.join().unwrap()
+    reader.join().expect("the reader does not panic")
 }

@@ -156,7 +156,8 @@ async fn a_covariance_asks_the_same_as_its_sigmas() {
         let known = known_by(&request, &[position, 0.0, 0.0, position, 0.0, yaw]);
         let by_sigmas = answer(&mut client, request).await;
         let by_covariance = answer(&mut client, known).await;
-        assert_eq!(searched(&by_sigmas), searched(&by_covariance));
+        let apart = (0..2).map(|i| (searched(&by_sigmas)[i] - searched(&by_covariance)[i]).abs());
+        assert!(apart.fold(0.0, f64::max) < 1e-9);
         assert_eq!(by_sigmas.pose, by_covariance.pose);
         let said = |a: &LocalizeResponse| (a.status(), a.correction, a.covariance.clone(), a.protection);
         assert_eq!(said(&by_sigmas), said(&by_covariance));

@@ -5,42 +5,12 @@ use crate::mapping::MappingConfig;
 
 impl Config {
     pub(super) fn check(&self) -> Result<(), Error> {
-        let Self { store, mapping, locating, limits, .. } = self;
+        let Self { store, locating, limits, .. } = self;
         let positive = "must be above 0";
         let within = |value: f64, most: f64| value > 0.0 && value <= most;
         let rules = [
             ("store.cache_mib", store.cache_mib > 0, positive),
             ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
-            ("mapping.max_sigma_position_m", mapping.max_sigma_position_m > 0.0, positive),
-            ("mapping.max_sigma_yaw_deg", mapping.max_sigma_yaw_deg > 0.0, positive),
-            ("mapping.min_speed_mps", mapping.min_speed_mps >= 0.0, "must not be negative"),
-            (
-                "mapping.max_range_m",
-                (1.0..=500.0).contains(&mapping.max_range_m),
-                "must lie within 1 and 500",
-            ),
-            ("mapping.max_doppler_residual_mps", mapping.max_doppler_residual_mps > 0.0, positive),
-            ("mapping.max_pose_gap_s", mapping.max_pose_gap_s > 0.0, positive),
-            (
-                "mapping.max_speed_mps",
-                mapping.max_speed_mps > mapping.min_speed_mps,
-                "must exceed min_speed_mps",
-            ),
-            ("mapping.publish_contributors", mapping.publish_contributors > 0, positive),
-            ("mapping.vet_shift_m", within(mapping.vet_shift_m, 5.0), "must lie within 0 and 5"),
-            ("mapping.vet_turn_deg", within(mapping.vet_turn_deg, 3.0), "must lie within 0 and 3"),
-            ("mapping.half_life_days", within(mapping.half_life_days, 1e5), "must lie within 0 and 100000"),
-            ("mapping.expire_days", mapping.expire_days > 0, positive),
-            ages(mapping),
-            ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
-            ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
-            ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),
-            (
-                "mapping.uploads_at_once",
-                (1..=256).contains(&mapping.uploads_at_once),
-                "must lie within 1 and 256",
-            ),
-            ("mapping.max_unfolded", mapping.max_unfolded > 0, positive),
             ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
             ("locating.queue", locating.queue <= 4096, "must be at most 4096"),
             (
@@ -104,11 +74,42 @@ impl Config {
             ("limits.request_s", limits.request_s > 0, positive),
             ("limits.stall_s", limits.stall_s > 0, positive),
         ];
-        match rules.into_iter().find(|(_, holds, _)| !holds) {
+        match rules.into_iter().chain(mapping(&self.mapping)).find(|(_, holds, _)| !holds) {
             Some((key, _, rule)) => Err(Error::OutOfRange { key, rule }),
             None => Ok(()),
         }
     }
+}
+
+/// Rules of the section on mapping.
+fn mapping(mapping: &MappingConfig) -> impl Iterator<Item = (&'static str, bool, &'static str)> + use<> {
+    let positive = "must be above 0";
+    let within = |value: f64, most: f64| value > 0.0 && value <= most;
+    let rules = [
+        ("mapping.max_sigma_position_m", mapping.max_sigma_position_m > 0.0, positive),
+        ("mapping.max_sigma_yaw_deg", mapping.max_sigma_yaw_deg > 0.0, positive),
+        ("mapping.min_speed_mps", mapping.min_speed_mps >= 0.0, "must not be negative"),
+        ("mapping.max_range_m", (1.0..=500.0).contains(&mapping.max_range_m), "must lie within 1 and 500"),
+        ("mapping.max_doppler_residual_mps", mapping.max_doppler_residual_mps > 0.0, positive),
+        ("mapping.max_pose_gap_s", mapping.max_pose_gap_s > 0.0, positive),
+        ("mapping.max_speed_mps", mapping.max_speed_mps > mapping.min_speed_mps, "must exceed min_speed_mps"),
+        ("mapping.publish_contributors", mapping.publish_contributors > 0, positive),
+        ("mapping.vet_shift_m", within(mapping.vet_shift_m, 5.0), "must lie within 0 and 5"),
+        ("mapping.vet_turn_deg", within(mapping.vet_turn_deg, 3.0), "must lie within 0 and 3"),
+        ("mapping.half_life_days", within(mapping.half_life_days, 1e5), "must lie within 0 and 100000"),
+        ("mapping.expire_days", mapping.expire_days > 0, positive),
+        ages(mapping),
+        ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
+        ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
+        ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),
+        (
+            "mapping.uploads_at_once",
+            (1..=256).contains(&mapping.uploads_at_once),
+            "must lie within 1 and 256",
+        ),
+        ("mapping.max_unfolded", mapping.max_unfolded > 0, positive),
+    ];
+    rules.into_iter()
 }
 
 /// Ids are forgotten with what is settled: what comes again must be refused for its age by then.

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use echofix_core::tile::Ledger;
 
 use super::base::Base;
-use super::fold::replay;
+use super::fold::{Records, replay};
 use super::generation::Generation;
 use super::manifest::Manifest;
 use super::shared::Shared;
@@ -103,7 +103,8 @@ fn fill(
     let (index, journal) = (&shared.index, &shared.journal);
     let mut vetting = Vetting::new(shared.policy.vetting);
     fresh.load(base)?;
-    let exclusion = index.exclusion(applied);
+    let exclusion = &index.exclusion(applied);
+    let records = Records { journal, index, exclusion };
     let mut folded = base.last;
     loop {
         // A later control takes a generation of its own.
@@ -111,8 +112,7 @@ fn fill(
         if folded >= end {
             break;
         }
-        folded =
-            replay(journal, index, &mut &*fresh, folded, end, &exclusion, &mut vetting, |at| told.at(at))?;
+        folded = replay(&records, &mut &*fresh, folded, end, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }
@@ -163,9 +163,9 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     let mut vetting = Vetting::new(shared.policy.vetting);
     for (number, last) in settles {
         // What was decided after a settlement does not change what was settled.
-        let exclusion = index.exclusion(number);
-        folded =
-            replay(journal, index, &mut &scratch, folded, last, &exclusion, &mut vetting, |at| told.at(at))?;
+        let exclusion = &index.exclusion(number);
+        let records = Records { journal, index, exclusion };
+        folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| told.at(at))?;
         if index.ended() {
             return Ok(None);
         }

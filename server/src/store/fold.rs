@@ -110,18 +110,24 @@ pub(super) fn fold_group(
     sink.keep(changed.into_iter(), &quarantined, folded)
 }
 
+/// The journal without what is excluded.
+pub(super) struct Records<'a> {
+    pub(super) journal: &'a Journal,
+    pub(super) index: &'a Index,
+    pub(super) exclusion: &'a Exclusion,
+}
+
 /// Folds the records after `folded` up to `last`, but for the excluded ones. `told` hears of every step
 /// and ends it all by answering false; the number of the last record folded is returned.
 pub(super) fn replay(
-    journal: &Journal,
-    index: &Index,
+    records: &Records<'_>,
     sink: &mut impl Sink,
     mut folded: u64,
     last: u64,
-    exclusion: &Exclusion,
     vetting: &mut Vetting,
     mut told: impl FnMut(u64) -> bool,
 ) -> Result<u64, Error> {
+    let Records { journal, index, exclusion } = *records;
     while folded < last && told(folded) {
         let group = index.records(folded, last);
         let Some(newest) = group.last().map(|written| written.number) else { break };

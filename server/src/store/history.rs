@@ -10,7 +10,7 @@ use super::Error;
 use super::canvas::{Folded, InMemory};
 use super::embedded::EmbeddedStore;
 use super::entry::Action;
-use super::fold::replay;
+use super::fold::{Records, replay};
 use super::index::Kind;
 use super::vetting::Vetting;
 
@@ -136,10 +136,11 @@ impl EmbeddedStore {
             );
             Ok(())
         })?;
-        let exclusion = index.exclusion(epoch);
+        let exclusion = &index.exclusion(epoch);
         let mut vetting = Vetting::new(self.shared.policy.vetting);
-        let (journal, go_on) = (&self.shared.journal, |_| !index.ended());
-        replay(journal, index, &mut map, base.last, epoch, &exclusion, &mut vetting, go_on)?;
+        let records = Records { journal: &self.shared.journal, index, exclusion };
+        let go_on = |_| !index.ended();
+        replay(&records, &mut map, base.last, epoch, &mut vetting, go_on)?;
         if index.ended() {
             return Err(Error::Stopped("the store is being closed".to_owned()));
         }

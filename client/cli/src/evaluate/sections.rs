@@ -199,8 +199,7 @@ fn ambiguity(rows: &[&Record], base: Condition) -> Section {
         .collect();
     let asked = Integrity::default().min_margin;
     let words = format!(
-        "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {} nats), tell answers that are wrong by more than a metre?\n",
-        asked
+        "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {asked} nats), tell answers that are wrong by more than a metre?\n"
     );
     let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {

@@ -122,7 +122,7 @@ mod tests {
         let last = random(state) % 40;
         // An allocation of its own, as long as it must be: a read beyond it is one beyond the memory.
         // The largest bytes are those that overflow.
-        let byte = |_| if seed % 4 == 0 { 255 } else { random(state) as u8 };
+        let byte = |_| if seed.is_multiple_of(4) { 255 } else { random(state) as u8 };
         let image: Box<[u8]> = (0..last + (rows - 1) * stride + WIDTH).map(byte).collect();
         let mut places: Vec<u32> = (0..600).map(|_| (random(state) % (last + 1)) as u32).collect();
         places[random(state) % 600] = last as u32;
