@@ -1,14 +1,17 @@
 //! The crowd's map: what one vehicle alone says is not served, what is beside the map is kept out, and what is
 //! taken back leaves no trace.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use echofix_core::geo::Grid;
+use echofix_client::upload::Upload;
+use echofix_core::drive::Drive;
+use echofix_core::evidence::support_block;
+use echofix_core::geo::{Grid, TileId};
 use echofix_sim::City;
 use echofix_tests::asking::{Sigma, Truth, cases};
 use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turned, upload};
-use echofix_tests::mapping::{contribute, send, settled};
+use echofix_tests::mapping::{contribute, send, settled, uploads};
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, Tiles};
 use echofix_tests::{grpc, http, town, until_blocking};
@@ -17,6 +20,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use uuid::Uuid;
 
+const DAY_US: i64 = 86_400_000_000;
 const THREE: &str = "mapping.publish_contributors=3";
 
 fn the_town() -> City {
@@ -192,20 +196,41 @@ async fn who_is_revoked_has_never_been_there() {
     assert!(bytes(&one) == bytes(&other) && bytes(&one) != bytes(&killed));
 }
 
-/// Catches: support that is counted by hits, and a contributor who counts several times.
+/// Support blocks in which each of some drives has hits.
+fn supported(drive: &Drive) -> BTreeSet<(TileId, usize)> {
+    let of_upload = |upload: Upload| {
+        let tiles = upload.evidence().expect("the recorder makes evidence").tiles.into_iter();
+        let blocks =
+            tiles.flat_map(|(id, share)| share.cells.into_iter().map(move |c| (id, support_block(c.index))));
+        blocks.collect::<Vec<_>>()
+    };
+    uploads(drive).into_iter().flat_map(of_upload).collect()
+}
+
+/// Catches: support that is counted by hits, by uploads or by days.
+///
+/// What is served are blocks that three support; where two honest ones saw something anyway, clutter or a car,
+/// a third may add to it: that is the limit of what counting can do, and how much it is, is printed.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wall_that_one_of_four_invents_is_not_served() {
     let city = the_town();
     let service = Service::start_with(&[THREE]);
     let honest = ["anna", "boris", "carla"];
-    crowd(&service, &city, &honest).await;
+    let drives: Vec<_> = (0..).zip(honest).map(|(day, vehicle)| street(&city, day, vehicle)).collect();
+    for drive in &drives {
+        contribute(&service, drive).await;
+    }
     let before = cells(&tiles::all(&service).await);
+    let mut support: BTreeMap<(TileId, usize), usize> = BTreeMap::new();
+    for block in drives.iter().flat_map(supported) {
+        *support.entry(block).or_default() += 1;
+    }
 
     // Across the lane, at several places: where all of them drove.
-    let drive = street(&city, 0, "anna");
-    let truth = Truth::of(&drive);
-    let grid = Grid::of(drive.truth[0].at).expect("the town is on the map");
-    let (first, last) = (drive.truth[0].time_us, drive.truth.last().expect("it drove").time_us);
+    let truth = Truth::of(&drives[0]);
+    let grid = Grid::of(drives[0].truth[0].at).expect("the town is on the map");
+    let first = drives[0].truth[0].time_us;
+    let last = drives[0].truth.last().expect("it drove").time_us;
     let walls = (1..6).filter_map(|i| truth.at(first + (last - first) * i / 6)).flat_map(|pose| {
         let pose = grid.pose_from_geodetic(pose.at, pose.yaw_rad).expect("on the map");
         (-15..15).map(move |i| pose.transform([4.0, 0.1 * f64::from(i)]))
@@ -217,14 +242,22 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
     let mut client = grpc::mapping(&service).await;
     // On several days, and several times a day.
     for number in 0..12 {
-        let time_us = first + i64::from(number % 4) * 86_400_000_000;
+        let time_us = first + (number % 4) * DAY_US;
         let id = Uuid::from_u64_pair(1, number as u64);
         send(&mut client, &upload(id, "mallory", time_us, &wall)).await.expect("a forger keeps to the form");
     }
     settled(&service).await;
     let after = cells(&tiles::all(&service).await);
-    let shown: Vec<_> =
-        after.keys().filter(|cell| phantom.contains(cell) && !before.contains_key(cell)).collect();
-    eprintln!("{} phantom cells, {} served", phantom.len(), shown.len());
-    assert!(shown.is_empty(), "{} of {} phantom cells are served", shown.len(), phantom.len());
+    let shown = after.keys().filter(|cell| phantom.contains(cell) && !before.contains_key(cell));
+    let honest_ones =
+        |(id, index): &(TileId, u32)| support.get(&(*id, support_block(*index))).copied().unwrap_or(0);
+    // Vetting moves what is honest by some centimetres, over a block's border, too.
+    let mut by_honest = [0; 4];
+    shown.for_each(|cell| by_honest[honest_ones(cell)] += 1);
+    eprintln!(
+        "{} phantom cells; served where 0, 1, 2, 3 honest ones saw something: {by_honest:?}",
+        phantom.len()
+    );
+    assert_eq!(by_honest[..2], [0, 0], "of {} phantom cells", phantom.len());
+    assert!(by_honest.iter().sum::<usize>() * 10 < phantom.len(), "a wall is to be seen");
 }
