@@ -61,7 +61,7 @@ async fn a_street_is_served_from_the_third_contributor_on() {
         assert_eq!(cells(&served).len(), 0, "day {day}: served before three contributors were there");
         assert!(served.is_empty(), "day {day}: tiles tell where somebody drove: {:?}", served.keys());
         let told = visit(&service, &city).await;
-        assert!(told.iter().all(|word| word == "TOO_LITTLE_MAP"), "day {day}: {told:?}");
+        assert!(told.iter().all(|word| word == "NO_MAP"), "day {day}: {told:?}");
     }
     contribute(&service, &street(&city, 3, "carla")).await;
     assert!(cells(&tiles::all(&service).await).len() > 1_000);

@@ -33,6 +33,10 @@ const JOURNAL: &[u8] = b"journal";
 const STATE: &[u8] = b"state";
 const KEY: usize = 10;
 const HEAD: usize = 22;
+/// Size of a segment of sled's log. A node of more than a quarter of it is written to a file of its own, which sled
+/// does not remove when the node changes: with its usual 512 KiB, tiles of more than 128 kB leave one behind each time
+/// they are folded.
+const SEGMENT_BYTES: usize = 4 << 20;
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
@@ -44,7 +48,7 @@ pub(super) struct Tiles {
 
 impl Tiles {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).mode(sled::Mode::LowSpace);
+        let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).segment_size(SEGMENT_BYTES);
         let db = unlocked(&config)?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { db, tree })
