@@ -1,11 +1,15 @@
 //! How many uploads a second does the store take, each on disk before it is answered, and how fast
-//! does it fold? `cargo run --release -p echofix-server --example commit_rate -- <directory>`
+//! does it fold? The same bytes are also written to a plain file, synced one by one, and to plain sled,
+//! flushed one by one: what the disk itself allows, and what a key-value store makes of it. `cargo run --release -p echofix-server --example commit_rate -- <directory>`
 #![expect(clippy::print_stdout, reason = "it prints what it measures")]
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use echofix_core::evidence::codec;
 use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
 use echofix_core::geo::{TileId, Zone};
 use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy, Upload};
@@ -27,15 +31,51 @@ fn upload(zone: Zone, number: u32) -> Upload {
     Upload { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
 }
 
+/// How often work can be done in a second.
+fn rate(mut work: impl FnMut(u32) -> Result<(), Box<dyn Error>>) -> Result<f64, Box<dyn Error>> {
+    let (began, mut done) = (Instant::now(), 0);
+    while began.elapsed() < TIME {
+        work(done)?;
+        done += 1;
+    }
+    Ok(f64::from(done) / began.elapsed().as_secs_f64())
+}
+
+/// Uploads a second that a plain file and plain sled take, one at a time.
+fn plain(dir: &Path, zone: Zone) -> Result<[f64; 2], Box<dyn Error>> {
+    let bytes = |number| {
+        let Upload { contribution, answer, .. } = upload(zone, number);
+        [codec::encode(&contribution), answer].concat()
+    };
+    let mut file = File::create(dir.join("plain"))?;
+    let on_disk = rate(|number| {
+        file.write_all(&bytes(number))?;
+        Ok(file.sync_data()?)
+    })?;
+    let db = sled::open(dir.join("plain-sled"))?;
+    let flushed = rate(|number| {
+        db.insert(number.to_be_bytes(), bytes(number))?;
+        db.flush()?;
+        Ok(())
+    })?;
+    Ok([on_disk, flushed])
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let data_dir = std::env::args_os().nth(1).map(PathBuf::from).ok_or("name a directory to measure in")?;
+    let zone = Zone::from_epsg(32614)?;
+    std::fs::create_dir_all(&data_dir)?;
+    let beside = data_dir.join("plain-writes");
+    std::fs::create_dir_all(&beside)?;
+    let [file, flushed] = plain(&beside, zone)?;
+    std::fs::remove_dir_all(&beside)?;
+    println!("one at a time: a plain file with fdatasync {file:.0}/s, plain sled with flush {flushed:.0}/s");
     let store = EmbeddedStore::open(&Options {
         data_dir,
         cache_bytes: 256 << 20,
         segment_bytes: 64 << 20,
         policy: Policy::trusting(),
     })?;
-    let zone = Zone::from_epsg(32614)?;
     for threads in [1, 4, 16, 64] {
         let before = *store.progress().borrow();
         let began = Instant::now();
@@ -51,9 +91,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             (0..threads).for_each(|thread| drop(scope.spawn(move || commit(thread))));
         });
         let committed = store.progress().borrow().journaled - before.journaled;
+        let per_s = committed as f64 / began.elapsed().as_secs_f64();
         println!(
-            "{threads} at once: {:.0} uploads/s on disk",
-            committed as f64 / began.elapsed().as_secs_f64()
+            "{threads} at once: {per_s:.0} uploads/s on disk, {:.2} times the file's, {:.2} times sled's",
+            per_s / file,
+            per_s / flushed
         );
         let mut progress = store.progress();
         let done = |p: echofix_server::store::Progress| p.epoch == p.journaled;

@@ -50,12 +50,22 @@ pub fn try_get(url: &str) -> Option<Answer> {
     fetch(url, &[]).ok()
 }
 
+/// `POST url` with JSON; fails the test when nobody answers.
+pub fn post(url: &str, body: &Value) -> Answer {
+    let request = agent(Duration::from_secs(20)).post(url).header("content-type", "application/json");
+    let answer = request.send(body.to_string()).and_then(answer);
+    answer.unwrap_or_else(|error| panic!("no answer from {url}: {error}"))
+}
+
 fn fetch(url: &str, headers: &[(&str, &str)]) -> Result<Answer, ureq::Error> {
     let mut request = agent(Duration::from_secs(20)).get(url);
     for (name, value) in headers {
         request = request.header(*name, *value);
     }
-    let mut response = request.call()?;
+    answer(request.call()?)
+}
+
+fn answer(mut response: ureq::http::Response<ureq::Body>) -> Result<Answer, ureq::Error> {
     let headers = response.headers().iter();
     let headers = headers.map(|(k, v)| (k.to_string(), String::from_utf8_lossy(v.as_bytes()).into_owned()));
     let headers = headers.collect();

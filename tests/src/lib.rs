@@ -7,6 +7,7 @@
 //! - [`http`]: what the operators' port answers.
 //! - [`grpc`]: clients of the vehicles' port, and refusals taken apart.
 //! - [`traffic`]: vehicles that upload without pause, and the list of what was acknowledged.
+//! - [`crowd`]: a crowd in one street, and evidence that no vehicle saw.
 //! - [`town`]: a town of two blocks, and drives in it.
 //! - [`mapping`]: a drive goes to the map.
 //! - [`tiles`]: the map as a caller gets it.
@@ -22,6 +23,7 @@
 pub mod asking;
 pub mod binary;
 pub mod command;
+pub mod crowd;
 pub mod disk;
 pub mod grpc;
 pub mod http;

@@ -106,6 +106,11 @@ impl Service {
         self.process.try_wait().expect("the service is ours to wait for").is_some()
     }
 
+    /// The number of the process.
+    pub fn pid(&self) -> u32 {
+        self.process.id()
+    }
+
     /// The data directory.
     pub fn data_dir(&self) -> PathBuf {
         data_dir(&self.folder, &self.setup)

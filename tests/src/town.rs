@@ -38,7 +38,8 @@ pub fn wander(city: &City, day: u32, vehicle: &str, seed: u64, length_m: f64) ->
     drive(city, day, vehicle, seed, &Route::wander(city, seed, length_m))
 }
 
-fn drive(city: &City, day: u32, vehicle: &str, seed: u64, route: &Route) -> Drive {
+/// A drive along a route.
+pub fn drive(city: &City, day: u32, vehicle: &str, seed: u64, route: &Route) -> Drive {
     // Nine in the morning.
     let start_time_us = (FIRST_DAY + i64::from(day)) * DAY_US + 9 * 3_600_000_000;
     let params = DriveParams { vehicle: vehicle.to_owned(), seed, start_time_us, ..DriveParams::default() };

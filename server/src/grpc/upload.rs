@@ -103,7 +103,7 @@ impl MappingApi {
         };
         // Only told, never decided by: an upload does not fail for it.
         let agreement = mapping::agreement(&*self.store, &contributed.contribution).unwrap_or_else(|error| {
-            tracing::warn!(upload = %id, %error, "an upload cannot be compared with the map");
+            tracing::warn!(%error, "an upload cannot be compared with the map");
             None
         });
         let response = response(id, &contributed);
@@ -151,7 +151,8 @@ impl MappingApi {
         let (response, agreement) = match outcome {
             Ok(told) => (&told.response, told.agreement),
             Err(error) => {
-                tracing::info!(upload = %id, reason = word, %error, "upload refused");
+                // Not which: ids tell when they were made.
+                tracing::info!(reason = word, %error, "upload refused");
                 (&nothing, None)
             }
         };

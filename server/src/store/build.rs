@@ -52,8 +52,8 @@ pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
     let mut told = Told::new(shared, applied);
     let Some(base) = settled_base(shared, applied, &mut told)? else { return Ok(None) };
     let number = shared.dir.next_generation()?;
-    let path = shared.dir.generation(number);
-    let fresh = Generation::create(&path, number, shared.cache_bytes, shared.journal_id)?;
+    let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
+    let fresh = Generation::create(&path, number, shared.cache_bytes, shared.journal_id, publish)?;
     reached(shared, Step::Created)?;
     let outcome = fill(shared, &fresh, &base, applied, &mut told);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
@@ -155,7 +155,8 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     let mut settles = index.settles_beyond(base.last);
     settles.retain(|(number, _)| *number <= applied);
     let Some((_, newest)) = settles.last().copied() else { return Ok(Some(base)) };
-    let scratch = Generation::create(&shared.dir.scratch(), 0, shared.cache_bytes, shared.journal_id)?;
+    let (path, publish) = (shared.dir.scratch(), shared.policy.publish_contributors);
+    let scratch = Generation::create(&path, 0, shared.cache_bytes, shared.journal_id, publish)?;
     // Its ledgers must not stay on disk.
     scratch.retire();
     scratch.load(&base)?;

@@ -63,9 +63,9 @@ impl EmbeddedStore {
         if base.last < index.before() {
             return Err(build::uncovered(index.before(), base.last));
         }
-        let mut folder = resume(&dir, options.cache_bytes, found.id(), &index)?;
+        let mut folder = resume(&dir, options, found.id(), &index)?;
         if folder.on.is_none() && index.newest() == 0 {
-            folder.on = Some(first(&dir, options.cache_bytes, found.id())?);
+            folder.on = Some(first(&dir, options, found.id())?);
         }
         dir.remove_all_but(folder.on.as_ref().map(|generation| generation.number))?;
         let end = index.newest();
@@ -123,11 +123,12 @@ impl EmbeddedStore {
 }
 
 /// Opens the generation that the manifest names. One that is damaged or gone is made anew.
-fn resume(dir: &DataDir, cache_bytes: u64, journal: Uuid, index: &Index) -> Result<Folder, Error> {
+fn resume(dir: &DataDir, options: &Options, journal: Uuid, index: &Index) -> Result<Folder, Error> {
     let nothing = Folder { on: None, applied: 0, folded: index.before() };
     let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == journal);
     let Some(Manifest { generation: number, applied, .. }) = manifest else { return Ok(nothing) };
-    match Generation::open(&dir.generation(number), number, cache_bytes, journal) {
+    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
+    match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
         Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
@@ -138,9 +139,10 @@ fn resume(dir: &DataDir, cache_bytes: u64, journal: Uuid, index: &Index) -> Resu
 }
 
 /// The empty generation of a new journal.
-fn first(dir: &DataDir, cache_bytes: u64, journal: Uuid) -> Result<Arc<Generation>, Error> {
+fn first(dir: &DataDir, options: &Options, journal: Uuid) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
-    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal)?;
+    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
+    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
     generation.load(&Base::default())?;
     Manifest { journal, generation: number, applied: 0 }.write(dir.root())?;
     Ok(Arc::new(generation))
@@ -184,7 +186,7 @@ impl MapStore for EmbeddedStore {
 
     fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
         let generation = self.shared.readable()?;
-        if generation.catalog().get(id).is_none() {
+        if generation.catalog().get(id).is_none_or(|info| info.cells == 0) {
             return Ok(None);
         }
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
@@ -203,7 +205,10 @@ impl MapStore for EmbeddedStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
-        Ok(self.shared.readable()?.catalog().block(zone, &x, &y))
+        let mut found = self.shared.readable()?.catalog().block(zone, &x, &y);
+        // That somebody drove there is nobody's business until enough did.
+        found.retain(|info| info.cells > 0);
+        Ok(found)
     }
 
     fn zones(&self) -> Vec<Zone> {

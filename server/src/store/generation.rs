@@ -28,6 +28,8 @@ const REMOVALS: usize = 100;
 pub(super) struct Generation {
     pub(super) number: u64,
     pub(super) tiles: Tiles,
+    /// See [`super::Policy::publish_contributors`].
+    publish: u8,
     catalog: RwLock<Catalog>,
     /// Declared last: goes when sled is closed.
     dir: Dir,
@@ -57,7 +59,13 @@ impl Drop for Dir {
 
 impl Generation {
     /// A new, empty generation; what is in its place is removed.
-    pub(super) fn create(path: &Path, number: u64, cache_bytes: u64, journal: Uuid) -> Result<Self, Error> {
+    pub(super) fn create(
+        path: &Path,
+        number: u64,
+        cache_bytes: u64,
+        journal: Uuid,
+        publish: u8,
+    ) -> Result<Self, Error> {
         match fs::remove_dir_all(path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(io_error("removing old tiles")(error));
@@ -66,7 +74,7 @@ impl Generation {
         }
         let tiles = Tiles::open(path, cache_bytes)?;
         tiles.set_journal(journal)?;
-        Ok(Self { number, tiles, catalog: RwLock::default(), dir: Dir::new(path) })
+        Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: Dir::new(path) })
     }
 
     /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used. sled
@@ -76,6 +84,7 @@ impl Generation {
         number: u64,
         cache_bytes: u64,
         journal: Uuid,
+        publish: u8,
     ) -> Result<(Self, u64), String> {
         if !path.exists() {
             return Err("they are gone".to_owned());
@@ -89,7 +98,7 @@ impl Generation {
             return Err("they were folded from another journal".to_owned());
         }
         let (catalog, folded) = caught(|| Ok(tiles.check()))??;
-        Ok((Self { number, tiles, catalog: RwLock::new(catalog), dir: Dir::new(path) }, folded))
+        Ok((Self { number, tiles, publish, catalog: RwLock::new(catalog), dir: Dir::new(path) }, folded))
     }
 
     /// Fills an empty generation from a base.
@@ -111,7 +120,7 @@ impl Generation {
         quarantined: &[Quarantined],
         folded: u64,
     ) -> Result<(), Error> {
-        let values: Vec<_> = changed.map(|(id, folded)| Value::new(id, &folded)).collect();
+        let values: Vec<_> = changed.map(|(id, folded)| Value::new(id, &folded, self.publish)).collect();
         let infos: Vec<_> = values.iter().map(|value| value.info).collect();
         let digest = self.catalog().digest_with(&infos);
         self.tiles.put_all(values, quarantined, folded, digest)?;

@@ -162,7 +162,7 @@ pub struct TileInfo {
     pub id: TileId,
     /// Epoch of its last change.
     pub version: u64,
-    /// Occupied cells.
+    /// Cells that enough contributors support, for them to be served.
     pub cells: u32,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! key    EPSG code (2) | y (4) | x (4), big-endian, signs flipped: neighbours sit together
-//! value  CRC-32C of key and the rest (4) | version (8) | cells (4) | newest day (2) | tile length (4) | tile | ledger
+//! value  CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
 //! a quarantined upload: see [`super::quarantine`]
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
@@ -14,6 +14,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use echofix_core::evidence::support_block;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile;
 use siphasher::sip::SipHasher24;
@@ -32,6 +33,10 @@ const JOURNAL: &[u8] = b"journal";
 const STATE: &[u8] = b"state";
 const KEY: usize = 10;
 const HEAD: usize = 22;
+/// Size of a segment of sled's log. A node of more than a quarter of it is written to a file of its own, which sled
+/// does not remove when the node changes: with its usual 512 KiB, tiles of more than 128 kB leave one behind each time
+/// they are folded.
+const SEGMENT_BYTES: usize = 4 << 20;
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
@@ -43,7 +48,7 @@ pub(super) struct Tiles {
 
 impl Tiles {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).mode(sled::Mode::LowSpace);
+        let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).segment_size(SEGMENT_BYTES);
         let db = unlocked(&config)?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { db, tree })
@@ -159,12 +164,15 @@ pub(super) struct Value {
 }
 
 impl Value {
-    pub(super) fn new(id: TileId, folded: &Folded) -> Self {
+    /// Of its cells those count that are served when `publish` contributors are asked for.
+    pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
         let (key, encoded) = (key(id), tile::encode(&folded.tile));
+        let supported = |index: u32| folded.tile.support()[support_block(index)] >= publish;
+        let served = folded.tile.cells().iter().filter(|(index, _)| supported(*index)).count();
         let info = TileInfo {
             id,
             version: folded.version,
-            cells: folded.tile.len() as u32,
+            cells: served as u32,
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
         };
@@ -290,7 +298,7 @@ mod tests {
             let dir = tempfile::tempdir().unwrap();
             let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
             let at_home = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x: -1 };
-            let value = Value::new(at_home, &Folded { version: 3, ..Folded::default() });
+            let value = Value::new(at_home, &Folded { version: 3, ..Folded::default() }, 1);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
@@ -309,7 +317,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
         let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x };
-        let value = |x, version| Value::new(id(x), &Folded { version, ..Folded::default() });
+        let value = |x, version| Value::new(id(x), &Folded { version, ..Folded::default() }, 1);
         let digest = stamp(&value(1, 3).info).wrapping_add(stamp(&value(2, 5).info));
         tiles.put_all(vec![value(1, 3), value(2, 5)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());

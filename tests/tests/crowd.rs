@@ -1,0 +1,263 @@
+//! The crowd's map: what one vehicle alone says is not served, what is beside the map is kept out, and what is
+//! taken back leaves no trace.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use echofix_client::upload::Upload;
+use echofix_core::drive::Drive;
+use echofix_core::evidence::support_block;
+use echofix_core::geo::{Grid, TileId};
+use echofix_sim::City;
+use echofix_tests::asking::{Sigma, Truth, cases};
+use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turned, upload};
+use echofix_tests::mapping::{contribute, send, settled, uploads};
+use echofix_tests::service::Service;
+use echofix_tests::tiles::{self, Tiles};
+use echofix_tests::{grpc, http, town, until_blocking};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use uuid::Uuid;
+
+const DAY_US: i64 = 86_400_000_000;
+const THREE: &str = "mapping.publish_contributors=3";
+
+fn the_town() -> City {
+    town::town(town::seed())
+}
+
+/// Everybody in turn drives along the street, each on a day of his own.
+async fn crowd(service: &Service, city: &City, vehicles: &[&str]) {
+    for (day, vehicle) in (0..).zip(vehicles) {
+        contribute(service, &street(city, day, vehicle)).await;
+    }
+}
+
+/// Where a visitor of the street is, or why nobody can tell, question by question.
+async fn visit(service: &Service, city: &City) -> Vec<String> {
+    let questions = cases(&street(city, 20, "visitor"), 8.0, Sigma::PAPER, 5);
+    assert!(!questions.is_empty(), "the visitor asks");
+    let mut client = grpc::localizing(service).await;
+    let mut told = Vec::new();
+    for case in questions {
+        told.push(match client.localize(case.request).await {
+            Ok(_) => "ANSWERED".to_owned(),
+            Err(status) => grpc::reason(&status),
+        });
+    }
+    told
+}
+
+/// Catches: a count of uploads or of passes instead of contributors, and a limit that is one off.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_street_is_served_from_the_third_contributor_on() {
+    let city = the_town();
+    let service = Service::start_with(&[THREE]);
+    // One of them comes twice: still two.
+    for (day, vehicle) in [(0, "anna"), (1, "boris"), (2, "anna")] {
+        contribute(&service, &street(&city, day, vehicle)).await;
+        let served = tiles::all(&service).await;
+        assert_eq!(cells(&served).len(), 0, "day {day}: served before three contributors were there");
+        assert!(served.is_empty(), "day {day}: tiles tell where somebody drove: {:?}", served.keys());
+        let told = visit(&service, &city).await;
+        assert!(told.iter().all(|word| word == "NO_MAP"), "day {day}: {told:?}");
+    }
+    contribute(&service, &street(&city, 3, "carla")).await;
+    assert!(cells(&tiles::all(&service).await).len() > 1_000);
+    let told = visit(&service, &city).await;
+    assert!(told.iter().any(|word| word == "ANSWERED"), "{told:?}");
+}
+
+/// The uploads kept out from an epoch on.
+fn kept_out_after(service: &Service, epoch: u64) -> Vec<Value> {
+    let told = quarantine(service);
+    let uploads = told["uploads"].as_array().expect("uploads are a list").iter();
+    uploads.filter(|upload| upload["epoch"].as_u64() > Some(epoch)).cloned().collect()
+}
+
+/// Catches: an upload that is folded and quarantined, an offset of the wrong sign or size, honest drivers kept out.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_lies_beside_the_map_is_kept_out() {
+    let city = the_town();
+    let service = Service::start();
+    crowd(&service, &city, &["anna", "boris"]).await;
+    assert_eq!(quarantine(&service)["quarantined"], 0, "honest ones count");
+    let before = tiles::all(&service).await;
+
+    let epoch = settled(&service).await;
+    let sent = contribute(&service, &shifted(street(&city, 5, "shifty"), 2.0, 0.0)).await.len();
+    let kept_out = kept_out_after(&service, epoch);
+    assert_eq!(kept_out.len(), sent, "{kept_out:#?}");
+    for upload in &kept_out {
+        assert_eq!(upload["reason"], "SHIFTED", "{upload}");
+        let off = |axis: &str| upload["offset"][axis].as_f64().expect("an offset is known");
+        // It says what would bring the upload home.
+        assert!((off("east_m") + 2.0).hypot(off("north_m")) < 0.4, "{upload}");
+    }
+    assert!(tiles::all(&service).await == before, "not a byte changes");
+
+    let epoch = settled(&service).await;
+    let sent = contribute(&service, &turned(street(&city, 6, "dizzy"), 3_f64.to_radians())).await.len();
+    let kept_out = kept_out_after(&service, epoch);
+    assert_eq!(kept_out.len(), sent, "{kept_out:#?}");
+    let rotated = kept_out.iter().filter(|upload| upload["reason"] == "ROTATED").count();
+    assert!(rotated > 0, "{kept_out:#?}");
+    assert!(tiles::all(&service).await == before, "not a byte changes");
+
+    let epoch = settled(&service).await;
+    contribute(&service, &street(&city, 9, "carla")).await;
+    assert_eq!(kept_out_after(&service, epoch), [Value::Null; 0], "an honest one of another day counts");
+    assert!(tiles::all(&service).await != before);
+}
+
+/// Catches: quarantined uploads that come to count once they are many.
+#[tokio::test(flavor = "multi_thread")]
+async fn three_who_agree_on_a_shift_raise_an_alarm_and_publish_nothing() {
+    let city = the_town();
+    let service = Service::start();
+    crowd(&service, &city, &["anna", "boris"]).await;
+    let before = tiles::all(&service).await;
+    for (number, vehicle) in (0..).zip(["dora", "emil", "fritz"]) {
+        assert_eq!(quarantine(&service)["alarms"], json!([]), "{number} contributors are too few");
+        contribute(&service, &shifted(street(&city, 5 + number, vehicle), 0.0, 1.5)).await;
+    }
+    let told = quarantine(&service);
+    let alarms = told["alarms"].as_array().expect("alarms are a list");
+    assert!(!alarms.is_empty(), "{told:#}");
+    for alarm in alarms {
+        assert_eq!((&alarm["kind"], &alarm["contributors"]), (&json!("SHIFT"), &json!(3)), "{alarm}");
+        let off = |axis: &str| alarm["offset"][axis].as_f64().expect("a shift has an offset");
+        assert!(off("east_m").hypot(off("north_m") + 1.5) < 0.4, "{alarm}");
+    }
+    assert!(tiles::all(&service).await == before, "nothing is published by itself");
+}
+
+/// Waits until the map shows all that was decided; kills the service at any moments of the way there.
+async fn decided(service: &mut Service, kills: u32, rng: &mut ChaCha8Rng) -> Tiles {
+    for _ in 0..kills {
+        tokio::time::sleep(Duration::from_millis(rng.random_range(0..200))).await;
+        service.kill();
+        service.launch_again();
+    }
+    service.wait_until_ready();
+    settled(service).await;
+    tiles::all(service).await
+}
+
+fn revoke(service: &Service, contributor: &str) -> Value {
+    let body = json!({ "contributor": contributor });
+    let answer = http::post(&format!("{}/api/v1/map/revoke", service.http), &body);
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    answer.json()
+}
+
+fn building(service: &Service) -> bool {
+    !http::get(&format!("{}/api/v1/map", service.http)).json()["building"].is_null()
+}
+
+/// Catches: a revocation that leaves a vote, a datum or a fading behind, one that is lost in a crash, and one that
+/// is applied in part.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_is_revoked_has_never_been_there() {
+    let city = the_town();
+    let mut rng = ChaCha8Rng::seed_from_u64(town::seed());
+    let mut with = Service::start();
+    let without = Service::start();
+    // What comes after is vetted and moved by the map that the revoked one helped to make.
+    for (day, vehicle) in (0..).zip(["anna", "mallory", "boris", "carla"]) {
+        let drive = street(&city, day, vehicle);
+        contribute(&with, &drive).await;
+        if vehicle != "mallory" {
+            contribute(&without, &drive).await;
+        }
+    }
+    let never = tiles::all(&without).await;
+    let before = tiles::all(&with).await;
+    assert!(bytes(&before) != bytes(&never), "the one to be revoked has changed the map");
+
+    revoke(&with, "mallory");
+    until_blocking("it is being built", Duration::from_secs(20), || {
+        let map = http::get(&format!("{}/api/v1/map", with.http)).json();
+        (building(&with) || map["epoch"] == map["journaled"]).then_some(())
+    });
+    let killed = decided(&mut with, 5, &mut rng).await;
+    assert!(bytes(&killed) == bytes(&never), "killed while it was built");
+    with.kill();
+    with.start_again();
+    assert!(tiles::all(&with).await == killed, "as it was before the restart, to the version");
+
+    // And undisturbed, another one.
+    revoke(&with, "boris");
+    revoke(&without, "boris");
+    settled(&with).await;
+    settled(&without).await;
+    let (one, other) = (tiles::all(&with).await, tiles::all(&without).await);
+    assert!(bytes(&one) == bytes(&other) && bytes(&one) != bytes(&killed));
+}
+
+/// Support blocks in which each of some drives has hits.
+fn supported(drive: &Drive) -> BTreeSet<(TileId, usize)> {
+    let of_upload = |upload: Upload| {
+        let tiles = upload.evidence().expect("the recorder makes evidence").tiles.into_iter();
+        let blocks =
+            tiles.flat_map(|(id, share)| share.cells.into_iter().map(move |c| (id, support_block(c.index))));
+        blocks.collect::<Vec<_>>()
+    };
+    uploads(drive).into_iter().flat_map(of_upload).collect()
+}
+
+/// Catches: support that is counted by hits, by uploads or by days.
+///
+/// What is served are blocks that three support; where two honest ones saw something anyway, clutter or a car,
+/// a third may add to it: that is the limit of what counting can do, and how much it is, is printed.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wall_that_one_of_four_invents_is_not_served() {
+    let city = the_town();
+    let service = Service::start_with(&[THREE]);
+    let honest = ["anna", "boris", "carla"];
+    let drives: Vec<_> = (0..).zip(honest).map(|(day, vehicle)| street(&city, day, vehicle)).collect();
+    for drive in &drives {
+        contribute(&service, drive).await;
+    }
+    let before = cells(&tiles::all(&service).await);
+    let mut support: BTreeMap<(TileId, usize), usize> = BTreeMap::new();
+    for block in drives.iter().flat_map(supported) {
+        *support.entry(block).or_default() += 1;
+    }
+
+    // Across the lane, at several places: where all of them drove.
+    let truth = Truth::of(&drives[0]);
+    let grid = Grid::of(drives[0].truth[0].at).expect("the town is on the map");
+    let first = drives[0].truth[0].time_us;
+    let last = drives[0].truth.last().expect("it drove").time_us;
+    let walls = (1..6).filter_map(|i| truth.at(first + (last - first) * i / 6)).flat_map(|pose| {
+        let pose = grid.pose_from_geodetic(pose.at, pose.yaw_rad).expect("on the map");
+        (-15..15).map(move |i| pose.transform([4.0, 0.1 * f64::from(i)]))
+    });
+    let wall = hits(grid.zone(), walls, 50);
+    let phantom: BTreeSet<_> =
+        wall.tiles.iter().flat_map(|(id, share)| share.cells.iter().map(|c| (*id, c.index))).collect();
+    assert!(phantom.len() > 100);
+    let mut client = grpc::mapping(&service).await;
+    // On several days, and several times a day.
+    for number in 0..12 {
+        let time_us = first + (number % 4) * DAY_US;
+        let id = Uuid::from_u64_pair(1, number as u64);
+        send(&mut client, &upload(id, "mallory", time_us, &wall)).await.expect("a forger keeps to the form");
+    }
+    settled(&service).await;
+    let after = cells(&tiles::all(&service).await);
+    let shown = after.keys().filter(|cell| phantom.contains(cell) && !before.contains_key(cell));
+    let honest_ones =
+        |(id, index): &(TileId, u32)| support.get(&(*id, support_block(*index))).copied().unwrap_or(0);
+    // Vetting moves what is honest by some centimetres, over a block's border, too.
+    let mut by_honest = [0; 4];
+    shown.for_each(|cell| by_honest[honest_ones(cell)] += 1);
+    eprintln!(
+        "{} phantom cells; served where 0, 1, 2, 3 honest ones saw something: {by_honest:?}",
+        phantom.len()
+    );
+    assert_eq!(by_honest[..2], [0, 0], "of {} phantom cells", phantom.len());
+    assert!(by_honest.iter().sum::<usize>() * 10 < phantom.len(), "a wall is to be seen");
+}
