@@ -67,8 +67,9 @@ pub fn page(about: &About, sections: &[Section]) -> String {
 pub fn part(about: &About, section: &Section) -> (String, String) {
     let About { machine, command, places, fixes, seed, .. } = about;
     let text = section.text.trim_end();
-    let part =
-        format!("{text}\n\nBy `{command}`: {fixes} fixes, priors of seed {seed}. {places} On {machine}.");
+    let shared = || format!("{fixes} fixes, priors of seed {seed}. {places}");
+    let data = section.data.clone().unwrap_or_else(shared);
+    let part = format!("{text}\n\nBy `{command}`: {data} On {machine}.");
     (format!("evaluate-{}", section.experiment.word()), part)
 }
 
