@@ -60,7 +60,8 @@ pub fn page(about: &About, sections: &[Section]) -> String {
         format!("<!-- {name}:begin -->\n{part}\n<!-- {name}:end -->\n")
     };
     let head = format!("## The paper's experiments\n\n{shared}\n");
-    std::iter::once(head).chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
+    let head = sections.iter().any(|section| section.data.is_none()).then_some(head);
+    head.into_iter().chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
 }
 
 /// One experiment's part of the report and the name of its markers.

@@ -22,10 +22,24 @@ const WINDOWS_MIB: u64 = 256;
 /// # Errors
 /// When the drive has no known poses.
 pub fn fixes(map: &RadarMap, drive: &Drive, method: Name, most: usize) -> anyhow::Result<Vec<Record>> {
+    fixes_on_map_of(&[], map, drive, method, most)
+}
+
+/// The same on a map that was made, unmoved, from these drives: its own error is told, too.
+///
+/// # Errors
+/// When the drive has no known poses.
+pub fn fixes_on_map_of(
+    mapping: &[Drive],
+    map: &RadarMap,
+    drive: &Drive,
+    method: Name,
+    most: usize,
+) -> anyhow::Result<Vec<Record>> {
     let grid = grid_of(drive)?;
     let base = Condition { contributors: map.key.contributors, ..Condition::default() };
     let place = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
-    let floor = Floor::of(&grid, &[])?;
+    let floor = Floor::of(&grid, mapping)?;
     let world = World::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
     let plan = Plan {
         every_s: 1.0,
