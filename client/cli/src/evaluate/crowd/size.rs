@@ -170,15 +170,25 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
     let most = if scale.quick { 100 } else { 250 };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, most)).collect::<anyhow::Result<_>>()?;
     let way_km: f64 = all.iter().map(|(_, km)| km).sum();
-    let mut table =
-        "| | kB a kilometre | fixes | without the map's own error: 50 / 95 %, cm | 95 % of the errors, cm | wrong by > 1 m | usable | wrong, of the usable |\n|---|---|---|---|---|---|---|---|\n".to_owned();
+    let columns = [
+        "kB a kilometre",
+        "fixes",
+        "without the map's own error: 50 / 95 %, cm",
+        "95 % of the errors, cm",
+        "wrong by > 1 m",
+        "usable",
+        "wrong, of the usable",
+    ];
+    let mut table = format!("| | {} |\n|{}\n", columns.join(" | "), "---|".repeat(columns.len() + 1));
     for (which, form) in FORMS.iter().enumerate() {
         let worths = || all.iter().map(|(worths, _)| &worths[which]);
         let kilobytes = worths().map(|worth| worth.bytes).sum::<u64>() as f64 / 1e3;
         let rows: Vec<Record> = worths().flat_map(|worth| worth.fixes.clone()).collect();
         let cells = Summary::of(&rows).cells();
-        let _ =
-            writeln!(table, "| {} | {:.0} | {} | {cells} |", form.words(), kilobytes / way_km, rows.len());
+        let net = Percentiles::of(rows.iter().filter_map(|row| row.net_m));
+        let net = net.map_or_else(String::new, |p| format!("{:.1} / {:.1}", 100.0 * p.p50, 100.0 * p.p95));
+        let (words, per_km) = (form.words(), kilobytes / way_km);
+        let _ = writeln!(table, "| {words} | {per_km:.0} | {} | {net} | {cells} |", rows.len());
     }
     Ok(Section {
         experiment: Experiment::Upload,
