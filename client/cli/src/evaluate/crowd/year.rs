@@ -173,17 +173,22 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
     let figure = Figure::Days(title, curves);
     Ok(Section {
         experiment: Experiment::Year,
-        text: format!("{}\n{}\n![A year](docs/evaluation/year.svg)\n", words(uploads), table(&all)),
+        text: format!(
+            "{}\n{}\n![A year](docs/evaluation/year.svg)\n",
+            words(&calendar, uploads),
+            table(&all)
+        ),
         figures: vec![("year.svg", figure)],
         data: Some(scale.words(towns)),
     })
 }
 
-fn words([uploads, quarantined]: [usize; 2]) -> String {
+fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
+    let every = calendar.map_every;
     format!(
         "### A year
 
-Five vehicles map a town all on day 0, then two of them every 12 days, 900 m each. Parked cars change every day. One building is
+Five vehicles map a town all on day 0, then two of them every {every} days, 900 m each. Parked cars change every day. One building is
 gone from day 90 on, one is built on day 150, and barriers stand where cars park in one street from day 60 to 179. Another vehicle
 drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
 what the service serves of what at least three contributors told. Of {uploads} uploads {quarantined} were quarantined.
