@@ -17,21 +17,27 @@ pub struct CityDay<'a> {
     day: u32,
     parked: Vec<Vehicle>,
     travellers: Vec<Traveller>,
+    /// Of cars, and of what stands there on some days only.
     reflectors: Vec<Reflector>,
     reflector_index: PointIndex,
+    /// What stands there on some days only.
+    walls: SegmentIndex,
     diagonals: SegmentIndex,
 }
 
 impl<'a> CityDay<'a> {
     pub(super) fn new(city: &'a City, day: u32) -> Self {
-        let parked = parking::parked(city.slots(), city.params(), day);
-        let reflectors: Vec<_> = parked.iter().flat_map(Vehicle::reflectors).collect();
+        let parked = parking::parked(city.slots(), city.params(), day, |slot| city.may_park(slot, day));
+        let of_cars = parked.iter().flat_map(Vehicle::reflectors);
+        let passing = city.passing(day).flat_map(|part| part.reflectors.iter().copied());
+        let reflectors: Vec<_> = of_cars.chain(passing).collect();
         let places: Vec<Point> = reflectors.iter().map(|r| r.at).collect();
         Self {
             city,
             day,
             travellers: traffic::travellers(city.network(), city.params(), day),
             reflector_index: PointIndex::new(&places),
+            walls: SegmentIndex::new(city.passing(day).flat_map(|part| part.walls.iter().copied()).collect()),
             diagonals: SegmentIndex::new(parked.iter().flat_map(Vehicle::diagonals).collect()),
             reflectors,
             parked,
@@ -78,7 +84,7 @@ impl<'a> CityDay<'a> {
     /// The share of a reflector's signal that walls and parked cars let pass on its way to a point.
     #[must_use]
     pub fn transmission(&self, from: Point, reflector: &Reflector) -> f64 {
-        if self.city.walls().blocks(from, reflector.at) {
+        if self.city.walls().blocks(from, reflector.at) || self.walls.blocks(from, reflector.at) {
             return 0.0;
         }
         let mut share = 1.0;

@@ -29,6 +29,18 @@ pub(super) fn build(structure: &mut Structure, frontage: Frontage, seed: u64, in
     Builder { structure, frame, rng }.fill(length_m);
 }
 
+/// An open lot behind a fence in the frame of a line of fronts (x along, y into the block).
+pub(super) fn fenced_lot(
+    structure: &mut Structure,
+    frame: Pose2,
+    along: (f64, f64),
+    seed: u64,
+    index: usize,
+) {
+    let rng = stream(seed, Purpose::Fronts, index as u64, 1);
+    Builder { structure, frame, rng }.fenced(along);
+}
+
 struct Builder<'a> {
     structure: &'a mut Structure,
     frame: Pose2,
@@ -139,6 +151,11 @@ impl Builder<'_> {
     /// An open lot behind a fence; returns where the next building starts.
     fn lot(&mut self, from: f64) -> f64 {
         let to = from + uniform(&mut self.rng, (10.0, 20.0));
+        self.fenced((from, to));
+        to
+    }
+
+    fn fenced(&mut self, (from, to): (f64, f64)) {
         let spacing = uniform(&mut self.rng, (2.0, 3.0));
         let mut post = from + 0.5;
         while post < to {
@@ -148,6 +165,5 @@ impl Builder<'_> {
         }
         self.structure.wall(&self.frame, &[[from, DEPTH_M], [to, DEPTH_M]]);
         self.rough(from, to, DEPTH_M, 1.0);
-        to
     }
 }

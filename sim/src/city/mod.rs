@@ -1,5 +1,6 @@
 //! The town: streets, what stands along them on every day, and what is there on one day.
 
+mod change;
 mod day;
 mod fronts;
 mod furniture;
@@ -10,6 +11,7 @@ mod structure;
 mod traffic;
 mod vehicle;
 
+pub use change::{Change, Plot};
 pub use day::CityDay;
 pub use params::CityParams;
 pub use parking::Slot;
@@ -18,6 +20,8 @@ pub(crate) use structure::Look;
 pub use structure::{Kind, Reflector, Structure};
 pub use traffic::{Mover, Traveller};
 pub use vehicle::Vehicle;
+
+use std::ops::Range;
 
 use crate::error::Error;
 use crate::index::{PointIndex, SegmentIndex};
@@ -34,6 +38,9 @@ pub struct City {
     slots: Vec<Slot>,
     walls: SegmentIndex,
     reflectors: PointIndex,
+    passing: Vec<change::Passing>,
+    /// Streets without parking, and on which days.
+    narrowed: Vec<(usize, Range<u32>)>,
 }
 
 impl City {
@@ -63,16 +70,29 @@ impl City {
         structure: Structure,
         slots: Vec<Slot>,
     ) -> Result<Self, Error> {
-        let places: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
-        Ok(Self {
+        let empty = Self {
             params: params.clone(),
             site: Site::new(params.origin)?,
             network,
             slots,
+            walls: SegmentIndex::new(Vec::new()),
+            reflectors: PointIndex::new(&[]),
+            structure: Structure::default(),
+            passing: Vec::new(),
+            narrowed: Vec::new(),
+        };
+        Ok(empty.indexed(structure))
+    }
+
+    /// The town with this structure on every day.
+    fn indexed(self, structure: Structure) -> Self {
+        let places: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
+        Self {
             walls: SegmentIndex::new(structure.walls.clone()),
             reflectors: PointIndex::new(&places),
             structure,
-        })
+            ..self
+        }
     }
 
     /// What the town was made from.
@@ -115,6 +135,11 @@ impl City {
     #[must_use]
     pub fn on_day(&self, day: u32) -> CityDay<'_> {
         CityDay::new(self, day)
+    }
+
+    /// What of [`City::changing`] stands on a day.
+    fn passing(&self, day: u32) -> impl Iterator<Item = &Structure> {
+        self.passing.iter().filter(move |part| part.days.contains(&day)).map(|part| &part.structure)
     }
 
     pub(crate) fn walls(&self) -> &SegmentIndex {

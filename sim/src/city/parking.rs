@@ -43,8 +43,13 @@ pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<Slot> {
     slots
 }
 
-/// The cars parked on one day. Each slot is drawn on its own.
-pub(super) fn parked(slots: &[Slot], params: &CityParams, day: u32) -> Vec<Vehicle> {
+/// The cars parked on one day, where they may. Each slot is drawn on its own.
+pub(super) fn parked(
+    slots: &[Slot],
+    params: &CityParams,
+    day: u32,
+    may_park: impl Fn(&Slot) -> bool,
+) -> Vec<Vehicle> {
     let car = |(index, slot): (usize, &Slot)| {
         let mut rng = stream(params.seed, Purpose::Parked, u64::from(day), index as u64);
         let taken = rng.random_bool(params.parking_occupancy);
@@ -56,7 +61,7 @@ pub(super) fn parked(slots: &[Slot], params: &CityParams, day: u32) -> Vec<Vehic
             normal(&mut rng, 0.02),
         );
         let width_m = uniform(&mut rng, (1.7, 1.95));
-        taken.then(|| Vehicle { pose: slot.pose.compose(&place), length_m, width_m })
+        (taken && may_park(slot)).then(|| Vehicle { pose: slot.pose.compose(&place), length_m, width_m })
     };
     slots.iter().enumerate().filter_map(car).collect()
 }

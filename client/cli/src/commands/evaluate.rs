@@ -6,12 +6,13 @@ use anyhow::{Context, bail};
 
 use crate::evaluate::about::{About, page, part};
 use crate::evaluate::condition::{Condition, Experiment};
+use crate::evaluate::crowd::Scale;
 use crate::evaluate::method::{Name, Windows};
 use crate::evaluate::record::Record;
 use crate::evaluate::run::{Plan, run as ask_all};
 use crate::evaluate::sections::Section;
 use crate::evaluate::worlds::Places;
-use crate::evaluate::{sanity, summary};
+use crate::evaluate::{crowd, sanity, summary};
 use crate::{progress, report};
 
 /// Arguments of `echofix evaluate`.
@@ -76,8 +77,10 @@ pub struct Args {
 /// # Errors
 /// When a world cannot be made, a file not be written, or the figures are not sane.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let (places, plan, crowds) = (places(args), plan(args), crowds(args));
-    let experiments = experiments(args);
+    let (own, experiments): (Vec<_>, Vec<_>) =
+        experiments(args).into_iter().partition(|e| Experiment::OF_THE_CROWD.contains(e));
+    let own = of_the_crowd(args, &own)?;
+    let (places, plan, crowds) = (places(args, !experiments.is_empty()), plan(args), crowds(args));
     let mut conditions = Vec::new();
     for condition in experiments.iter().flat_map(|e| e.conditions(plan.base, &crowds)) {
         if !conditions.contains(&condition) {
@@ -93,13 +96,14 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
         rows.extend(ask_all(&world, &conditions, &plan, &windows, &bar)?);
     }
     bar.finish_and_clear();
-    if rows.is_empty() {
+    if rows.is_empty() && !experiments.is_empty() {
         bail!("there is no epoch at which a fix could be asked for: the drives are too short or too slow");
     }
     if let Some(path) = &args.epochs {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
-    let sections: Vec<Section> = experiments.iter().map(|e| Section::of(*e, &rows, &plan, &crowds)).collect();
+    let sections = experiments.iter().map(|e| Section::of(*e, &rows, &plan, &crowds));
+    let sections: Vec<Section> = sections.chain(own).collect();
     let about = About::of(&places, &plan, &rows);
     if let Some(folder) = &args.write {
         write_report(folder, &about, &sections)?;
@@ -109,10 +113,16 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     } else {
         println!("{}", page(&about, &sections));
     }
-    if args.quick {
+    if args.quick && !experiments.is_empty() {
         sanity::check(&rows, &plan.base)?;
     }
     Ok(())
+}
+
+fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Section>> {
+    let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
+    let sections = experiments.iter().map(|experiment| crowd::section(*experiment, &scale));
+    Ok(sections.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
 }
 
 fn experiments(args: &Args) -> Vec<Experiment> {
@@ -121,7 +131,10 @@ fn experiments(args: &Args) -> Vec<Experiment> {
     asked.iter().copied().filter(|e| !(logs && e.scenes())).collect()
 }
 
-fn places(args: &Args) -> Places {
+fn places(args: &Args, any: bool) -> Places {
+    if !any {
+        return Places::simulated(&[], &[], args.quick);
+    }
     if let Some(drive) = &args.drive {
         return Places::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
     }
@@ -149,6 +162,7 @@ fn plan(args: &Args) -> Plan {
         seed: args.seed,
         methods: args.methods.clone(),
         variants: experiments(args).into_iter().flat_map(variants).collect(),
+        forecasts: true,
     }
 }
 
@@ -176,8 +190,12 @@ fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::R
     let file = folder.join("BENCHMARKS.md");
     let known = std::fs::read_to_string(&file).unwrap_or_default();
     let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
+    let has_place = |section: &Section, (name, _): &(String, String)| {
+        Experiment::OF_THE_CROWD.contains(&section.experiment)
+            || known.contains(&format!("<!-- {name}:begin -->"))
+    };
     if sections.len() < Experiment::ALL.len()
-        && parts.iter().all(|(name, _)| known.contains(&format!("<!-- {name}:begin -->")))
+        && sections.iter().zip(&parts).all(|(section, part)| has_place(section, part))
     {
         return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
     }

@@ -28,5 +28,5 @@ pub fn section(rows: &[&Record], base: Condition) -> Section {
     }
     let count = groups.first().map_or(0, |(_, rows)| rows.len());
     let text = [WORDS, &format!("{count} fixes a line.\n"), &tables::sweep(&groups)].join("\n");
-    Section { experiment, text, figures: Vec::new() }
+    Section { experiment, text, figures: Vec::new(), data: None }
 }

@@ -60,15 +60,17 @@ pub fn page(about: &About, sections: &[Section]) -> String {
         format!("<!-- {name}:begin -->\n{part}\n<!-- {name}:end -->\n")
     };
     let head = format!("## The paper's experiments\n\n{shared}\n");
-    std::iter::once(head).chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
+    let head = sections.iter().any(|section| section.data.is_none()).then_some(head);
+    head.into_iter().chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
 }
 
 /// One experiment's part of the report and the name of its markers.
 pub fn part(about: &About, section: &Section) -> (String, String) {
     let About { machine, command, places, fixes, seed, .. } = about;
     let text = section.text.trim_end();
-    let part =
-        format!("{text}\n\nBy `{command}`: {fixes} fixes, priors of seed {seed}. {places} On {machine}.");
+    let shared = || format!("{fixes} fixes, priors of seed {seed}. {places}");
+    let data = section.data.clone().unwrap_or_else(shared);
+    let part = format!("{text}\n\nBy `{command}`: {data} On {machine}.");
     (format!("evaluate-{}", section.experiment.word()), part)
 }
 

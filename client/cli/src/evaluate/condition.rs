@@ -93,10 +93,18 @@ pub enum Experiment {
     Ablation,
     /// How often the fast search misses the exact maximum.
     Misses,
+    /// How maps age over a year.
+    Year,
+    /// What bad contributors reach.
+    Attacks,
+    /// Which uploads are kept out of the map.
+    Vetting,
+    /// Bytes of an upload against accuracy.
+    Upload,
 }
 
 impl Experiment {
-    /// All of them, in the order of the report.
+    /// Those of the paper, in the order of the report.
     pub const ALL: [Self; 8] = [
         Self::Headline,
         Self::Batch,
@@ -107,6 +115,9 @@ impl Experiment {
         Self::Ablation,
         Self::Misses,
     ];
+
+    /// Those with towns and maps of their own, made only when they are asked for.
+    pub const OF_THE_CROWD: [Self; 4] = [Self::Year, Self::Attacks, Self::Vetting, Self::Upload];
 
     /// Its name in a word.
     pub fn word(self) -> &'static str {
@@ -119,6 +130,10 @@ impl Experiment {
             Self::Localizability => "localizability",
             Self::Ablation => "ablation",
             Self::Misses => "misses",
+            Self::Year => "year",
+            Self::Attacks => "attacks",
+            Self::Vetting => "vetting",
+            Self::Upload => "upload",
         }
     }
 
@@ -144,6 +159,7 @@ impl Experiment {
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),
+            Self::Year | Self::Attacks | Self::Vetting | Self::Upload => Vec::new(),
         }
     }
 }

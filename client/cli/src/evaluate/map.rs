@@ -14,7 +14,8 @@ use echofix_core::{doppler, odometry};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
 const MAX_POSE_GAP_US: i64 = 500_000;
-const DAY_US: i64 = 86_400_000_000;
+/// Microseconds of a day.
+pub const DAY_US: i64 = 86_400_000_000;
 
 /// What becomes of detections that move, by their radial speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -61,6 +62,19 @@ impl RadarMap {
         Self { key, zone, tiles: BTreeMap::new() }
     }
 
+    /// The map of these tiles.
+    pub fn of_tiles(key: MapKey, zone: Zone, tiles: BTreeMap<TileId, Tile>) -> Self {
+        Self { key, zone, tiles }
+    }
+
+    /// Adds all that another map holds; nothing of it fades.
+    pub fn join(&mut self, other: &Self) {
+        for (id, theirs) in &other.tiles {
+            let joined = self.tiles.get(id).map_or_else(|| theirs.clone(), |ours| ours.merged(theirs));
+            self.tiles.insert(*id, joined);
+        }
+    }
+
     /// The same tiles, for others to be added to.
     pub fn grown_from(&self, contributors: usize) -> Self {
         Self { key: MapKey { contributors, ..self.key }, ..self.clone() }
@@ -72,7 +86,7 @@ impl RadarMap {
     /// When the drive has no such pose, or its scans and poses do not fit together.
     pub fn add(&mut self, drive: &Drive, contributor: u64, max_sigma_m: f64) -> anyhow::Result<()> {
         let grid = Grid::new(self.zone)?;
-        let scans = self.gated(drive);
+        let scans = gated(drive, self.key.movers);
         let (mut gathering, mut day) = (Gathering::default(), None);
         for poses in stretches(&drive.reference, max_sigma_m) {
             let scale = grid.scale_factor(poses[0].at)?;
@@ -98,21 +112,6 @@ impl RadarMap {
         Ok(())
     }
 
-    /// The drive's scans, their movers dropped where the map is one without.
-    fn gated(&self, drive: &Drive) -> Vec<Scan> {
-        let mut scans = drive.scans.clone();
-        if self.key.movers == Movers::Dropped {
-            let limit_mps = self.key.movers.gate().max_doppler_residual_mps;
-            for scan in &mut scans {
-                let velocity = drive.odometry.velocity_at(scan.time_us);
-                if let (Some(velocity), Some(mount)) = (velocity, drive.mounts.get(scan.sensor)) {
-                    doppler::drop_movers(scan, mount, velocity, limit_mps);
-                }
-            }
-        }
-        scans
-    }
-
     /// The map in a square.
     pub fn window(&self, frame: Frame) -> Window {
         Window::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
@@ -129,6 +128,21 @@ impl RadarMap {
     }
 }
 
+/// The drive's scans, without its movers where they are dropped.
+pub fn gated(drive: &Drive, movers: Movers) -> Vec<Scan> {
+    let mut scans = drive.scans.clone();
+    if movers == Movers::Dropped {
+        let limit_mps = movers.gate().max_doppler_residual_mps;
+        for scan in &mut scans {
+            let velocity = drive.odometry.velocity_at(scan.time_us);
+            if let (Some(velocity), Some(mount)) = (velocity, drive.mounts.get(scan.sensor)) {
+                doppler::drop_movers(scan, mount, velocity, limit_mps);
+            }
+        }
+    }
+    scans
+}
+
 /// Poses on the grid, in order of time.
 ///
 /// # Errors
@@ -142,7 +156,7 @@ pub fn on_grid(grid: &Grid, poses: &[GeoPose]) -> anyhow::Result<Trajectory> {
 }
 
 /// Runs of poses that are known well enough and leave no gap.
-fn stretches(poses: &[GeoPose], max_sigma_m: f64) -> impl Iterator<Item = &[GeoPose]> {
+pub fn stretches(poses: &[GeoPose], max_sigma_m: f64) -> impl Iterator<Item = &[GeoPose]> {
     let known = move |p: &GeoPose| p.sigma_position_m <= max_sigma_m;
     poses
         .chunk_by(move |a, b| b.time_us - a.time_us <= MAX_POSE_GAP_US && known(a) == known(b))

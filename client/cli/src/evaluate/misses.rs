@@ -56,7 +56,7 @@ pub fn section(rows: &[&Record], base: Condition) -> Section {
     }
     let all: Vec<_> = pairs.iter().collect();
     let _ = writeln!(text, "| all | {} |", line(&all).join(" | "));
-    Section { experiment: Experiment::Misses, text, figures: Vec::new() }
+    Section { experiment: Experiment::Misses, text, figures: Vec::new(), data: None }
 }
 
 fn line(pairs: &[&Pair<'_>]) -> [String; 7] {

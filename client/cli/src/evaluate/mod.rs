@@ -9,6 +9,7 @@
 //! - [`statistics`]: percentiles, intervals, curves.
 //! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report,
 //!   experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
+//! - [`crowd`]: experiments with towns, vehicles and maps of their own: a year, attacks, uploads.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
 //! - [`sanity`]: what any run must come out as.
 
@@ -16,6 +17,7 @@ pub mod ablation;
 pub mod about;
 pub mod cells;
 pub mod condition;
+pub mod crowd;
 pub mod epoch;
 pub mod floor;
 pub mod groups;

@@ -96,6 +96,30 @@ pub fn rocs(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
     })
 }
 
+/// Errors over the days of a year.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn days(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
+    let points = || curves.iter().flat_map(|curve| &curve.points).filter(|(_, y)| y.is_finite());
+    let last = points().map(|(day, _)| *day).fold(1.0, f64::max);
+    let most = points().map(|(_, error)| *error).fold(0.1, f64::max);
+    drawn(path, 1, |areas| {
+        // Room above the curves for the legend.
+        let mut chart = framed(&areas[0], title).build_cartesian_2d(0.0..1.05 * last, 0.0..1.4 * most)?;
+        chart
+            .configure_mesh()
+            .x_desc("day")
+            .y_desc("horizontal error, m")
+            .label_style(("sans-serif", 15))
+            .light_line_style(TRANSPARENT)
+            .draw()?;
+        lines(&mut chart, curves, |curve| {
+            curve.points.iter().copied().filter(|(_, y)| y.is_finite()).collect()
+        })
+    })
+}
+
 /// Side of a Stanford diagram's square, metres, and how many bins it has.
 const STANFORD: (f64, usize) = (2.0, 80);
 
@@ -216,6 +240,8 @@ mod tests {
         assert!(svg().contains("ROC") && svg().contains("height=\"400\""));
         stanford(&path, "Stanford", &[(0.1, 0.4), (9.0, 9.0)], 0.5).unwrap();
         assert!(svg().contains("Stanford"));
+        days(&path, "A year", &[curve()]).unwrap();
+        assert!(svg().contains("A year") && svg().contains("a curve"));
         assert!(rocs(&folder.path().join("no/where.svg"), "", &[]).is_err());
     }
 }

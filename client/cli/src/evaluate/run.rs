@@ -36,6 +36,8 @@ pub struct Plan {
     pub methods: Vec<Name>,
     /// Further methods, and under which conditions they are asked; at swept epochs only.
     pub variants: Vec<(Name, Condition)>,
+    /// Is the map asked what it expects of fixes?
+    pub forecasts: bool,
 }
 
 impl Plan {
@@ -48,6 +50,11 @@ impl Plan {
             }
         }
         all
+    }
+
+    /// All methods, for one thread.
+    fn ready(&self, windows: &Arc<Windows>) -> Vec<(Name, Box<dyn Method>)> {
+        self.all_methods().into_iter().map(|name| (name, name.method(windows))).collect()
     }
 
     /// Is a method asked under a condition at an epoch?
@@ -71,15 +78,12 @@ pub fn run(
     let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
     bar.inc_length(epochs.len() as u64);
     let rows = epochs.par_iter().map_init(
-        || {
-            (
-                plan.all_methods().into_iter().map(|name| (name, name.method(windows))).collect::<Vec<_>>(),
-                Forecaster::new(windows),
-            )
-        },
+        || (plan.ready(windows), plan.forecasts.then(|| Forecaster::new(windows))),
         |(methods, forecaster), epoch| {
             let mut rows = at_epoch(world, epoch, conditions, plan, methods)?;
-            forecaster.add(world, epoch, &plan.base, &mut rows)?;
+            if let Some(forecaster) = forecaster {
+                forecaster.add(world, epoch, &plan.base, &mut rows)?;
+            }
             bar.inc(1);
             Ok(rows)
         },

@@ -23,6 +23,8 @@ pub struct Section {
     pub text: String,
     /// File name and figure.
     pub figures: Vec<(&'static str, Figure)>,
+    /// Where its figures come from, if not from the fixes that the sections share.
+    pub data: Option<String>,
 }
 
 /// What is drawn.
@@ -33,6 +35,8 @@ pub enum Figure {
     Rocs(String, Vec<Curve>),
     /// A title and (error, level) pairs.
     Stanford(String, Vec<(f64, f64)>),
+    /// A title and errors over days.
+    Days(String, Vec<Curve>),
 }
 
 impl Section {
@@ -50,7 +54,7 @@ impl Section {
             Experiment::Ambiguity => ambiguity(&asked, base),
             Experiment::Localizability => {
                 let text = super::localizability::section(rows, &base);
-                Self { experiment, text, figures: Vec::new() }
+                Self { experiment, text, figures: Vec::new(), data: None }
             }
             Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
             Experiment::Misses => misses::section(&all, base),
@@ -69,6 +73,7 @@ impl Section {
                 Figure::Ccdfs(panels) => plots::ccdfs(&path, panels)?,
                 Figure::Rocs(title, curves) => plots::rocs(&path, title, curves)?,
                 Figure::Stanford(title, pairs) => plots::stanford(&path, title, pairs, ALERT_M)?,
+                Figure::Days(title, curves) => plots::days(&path, title, curves)?,
             }
         }
         Ok(())
@@ -112,7 +117,7 @@ fn headline(rows: &[&Record], base: Condition) -> Section {
         ("ccdf-headline.svg", Figure::Ccdfs(panels("", &groups))),
         ("stanford.svg", Figure::Stanford(format!("{name}: errors, levels"), pairs.collect())),
     ];
-    Section { experiment: Experiment::Headline, text, figures }
+    Section { experiment: Experiment::Headline, text, figures, data: None }
 }
 
 fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> Section {
@@ -151,7 +156,7 @@ fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> 
     let count = groups.first().map_or(0, |(_, rows)| rows.len());
     let head = format!("### {title}\n\n{words}\n{count} fixes a line.\n");
     let text = [&head, &table, &image(title, file)].map(String::as_str).join("\n");
-    Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))] }
+    Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))], data: None }
 }
 
 /// Horizontal and heading errors of groups, a colour each.
@@ -213,6 +218,7 @@ fn ambiguity(rows: &[&Record], base: Condition) -> Section {
         experiment: Experiment::Ambiguity,
         text,
         figures: vec![("roc-ambiguity.svg", Figure::Rocs(title, curves))],
+        data: None,
     }
 }
 

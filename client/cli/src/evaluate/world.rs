@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context;
-use echofix_core::drive::Drive;
+use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::geo::Grid;
 use echofix_core::odometry::Trajectory;
 use rayon::prelude::*;
 
+use super::crowd::map::CrowdMap;
+use super::crowd::uploads;
 use super::floor::Floor;
 use super::map::{MapKey, Movers, RadarMap, on_grid};
 
@@ -52,13 +54,8 @@ impl World {
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
     pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
-        let Drives { place, name, mapping, localized: drive } = drives;
-        let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
-        let first = poses
-            .first()
-            .with_context(|| format!("`{}` has no known poses to compare with", drive.vehicle))?;
-        let grid = Grid::of(first.at)?;
-        let truth = on_grid(&grid, poses)?;
+        let Drives { place, name, mapping, localized } = drives;
+        let grid = grid_of(&localized)?;
         let both: Vec<_> = [Movers::Kept, Movers::Dropped]
             .into_par_iter()
             .map(|movers| {
@@ -66,16 +63,33 @@ impl World {
                 grown(RadarMap::new(key, grid.zone()), &mapping, crowds, max_sigma_m)
             })
             .collect::<anyhow::Result<_>>()?;
-        let maps = both.into_iter().flatten().map(|map| ((map.key.contributors, map.key.movers), map));
+        let floor = Floor::of(&grid, &mapping)?;
+        Self::with_maps(index, (place, name), localized, floor, both.into_iter().flatten())
+    }
+
+    /// A drive on maps that are there.
+    ///
+    /// # Errors
+    /// When there is no truth, or it is off the grid.
+    pub fn with_maps(
+        index: usize,
+        (place, name): (&'static str, String),
+        drive: Drive,
+        floor: Floor,
+        maps: impl IntoIterator<Item = RadarMap>,
+    ) -> anyhow::Result<Self> {
+        let grid = grid_of(&drive)?;
+        let (first, poses) = known(&drive)?;
+        let maps = maps.into_iter().map(|map| ((map.key.contributors, map.key.movers), map));
         Ok(Self {
             index,
             place,
             name,
             odometry: drive.odometry.clone(),
-            truth,
+            truth: on_grid(&grid, poses)?,
             reference: on_grid(&grid, &drive.reference)?,
             scale: grid.scale_factor(first.at)?,
-            floor: Floor::of(&grid, &mapping)?,
+            floor,
             maps: maps.collect(),
             drive,
         })
@@ -92,18 +106,49 @@ impl World {
     }
 }
 
-/// The map after each of `crowds` contributors.
+/// The poses that answers are compared with, and the first of them.
+fn known(drive: &Drive) -> anyhow::Result<(&GeoPose, &[GeoPose])> {
+    let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
+    let first =
+        poses.first().with_context(|| format!("`{}` has no known poses to compare with", drive.vehicle))?;
+    Ok((first, poses))
+}
+
+/// The grid of the zone that a drive begins in.
+///
+/// # Errors
+/// When the drive has no known pose, or it is off the grid.
+pub fn grid_of(drive: &Drive) -> anyhow::Result<Grid> {
+    Ok(Grid::of(known(drive)?.0.at)?)
+}
+
+/// The map after each of `crowds` contributors: without movers, more than one are vetted and moved onto each
+/// other, as the service does.
 fn grown(
     mut map: RadarMap,
     drives: &[Drive],
     crowds: &[usize],
     max_sigma_m: f64,
 ) -> anyhow::Result<Vec<RadarMap>> {
+    let most = crowds.iter().copied().max().unwrap_or(0);
+    let mut crowd = (map.key.movers == Movers::Dropped && most > 1).then(|| CrowdMap::new(map.zone()));
     let mut kept = Vec::new();
-    for (before, drive) in drives.iter().enumerate() {
-        map.add(drive, before as u64, max_sigma_m)?;
-        if crowds.contains(&(before + 1)) {
-            kept.push(map.grown_from(before + 1));
+    for (before, drive) in drives.iter().take(most).enumerate() {
+        let (contributor, count) = (before as u64, before + 1);
+        if let Some(crowd) = &mut crowd {
+            for upload in uploads::cut(drive, map.zone(), contributor, max_sigma_m)? {
+                crowd.offer(&upload);
+            }
+        }
+        if crowd.is_none() || before == 0 {
+            map.add(drive, contributor, max_sigma_m)?;
+        }
+        if crowds.contains(&count) {
+            let key = MapKey { contributors: count, ..map.key };
+            kept.push(match &crowd {
+                Some(crowd) if count > 1 => crowd.whole(key),
+                _ => map.grown_from(count),
+            });
         }
     }
     Ok(kept)

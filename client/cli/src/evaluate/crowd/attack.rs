@@ -1,0 +1,159 @@
+//! What bad contributors send.
+
+use std::collections::BTreeMap;
+
+use echofix_core::drive::Drive;
+use echofix_core::evidence::CellHits;
+use echofix_core::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use echofix_core::pose::Pose2;
+use echofix_core::scan::Mount;
+use echofix_sim::City;
+
+use super::uploads::{Upload, cut, cut_wrong};
+
+/// What the service takes poses for known from, metres.
+const MAX_SIGMA_M: f64 = 0.3;
+/// Length of the wall that is made up, metres.
+const WALL_M: f64 = 20.0;
+/// Detections in each of its cells and uploads.
+const WALL_HITS: u32 = 4;
+/// How often an upload is sent again.
+const REPLAYS: usize = 4;
+
+/// What bad contributors do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Attack {
+    /// Nothing.
+    None,
+    /// They make up a wall across a street, all the same one.
+    Wall,
+    /// They had everything in view and hit next to nothing.
+    Erase,
+    /// All their poses are off to the east, metres.
+    Shift(f64),
+    /// Their front radar is mounted so many radians to the left of where it says.
+    Mount(f64),
+    /// They send each upload again and again.
+    Replay,
+}
+
+impl Attack {
+    /// In a few words.
+    pub fn words(self) -> String {
+        match self {
+            Self::None => "honest".to_owned(),
+            Self::Wall => "a wall made up".to_owned(),
+            Self::Erase => "reporting nothing".to_owned(),
+            Self::Shift(m) => format!("shifted by {m:.1} m"),
+            Self::Mount(rad) => format!("a radar turned by {:.0} deg", rad.to_degrees()),
+            Self::Replay => format!("each upload {REPLAYS} times more"),
+        }
+    }
+
+    /// What a bad contributor makes of a drive.
+    ///
+    /// # Errors
+    /// When scans and poses do not fit together.
+    pub fn uploads(self, city: &City, drive: &Drive, contributor: u64) -> anyhow::Result<Vec<Upload>> {
+        let zone = city.site().zone();
+        let honest = |drive: &Drive| cut(drive, zone, contributor, MAX_SIGMA_M);
+        match self {
+            Self::None => honest(drive),
+            Self::Wall => {
+                let (wall, mut uploads) = (wall(city), honest(drive)?);
+                uploads.iter_mut().for_each(|upload| add(upload, &wall));
+                Ok(uploads)
+            }
+            Self::Erase => {
+                let mut uploads = honest(drive)?;
+                for share in uploads.iter_mut().flat_map(|upload| upload.contribution.tiles.values_mut()) {
+                    share.cells.truncate(1);
+                }
+                Ok(uploads)
+            }
+            Self::Shift(m) => {
+                let east = |_, _, pose: Pose2| Pose2 { x_m: pose.x_m + m, ..pose };
+                cut_wrong(drive, zone, contributor, MAX_SIGMA_M, east)
+            }
+            Self::Mount(rad) => {
+                let mut drive = drive.clone();
+                if let Some(Mount { yaw_rad, .. }) = drive.mounts.first_mut() {
+                    *yaw_rad += rad;
+                }
+                honest(&drive)
+            }
+            Self::Replay => {
+                let uploads = honest(drive)?;
+                Ok(uploads.iter().flat_map(|upload| vec![upload.clone(); 1 + REPLAYS]).collect())
+            }
+        }
+    }
+}
+
+/// Cells of a wall across the middle of the town's first street.
+fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
+    let (street, site) = (&city.network().streets()[0], city.site());
+    let middle = [0, 1].map(|axis| 0.5 * (street.a[axis] + street.b[axis]));
+    let along = [0, 1].map(|axis| (street.b[axis] - street.a[axis]) / street.length_m());
+    let across = [-along[1], along[0]];
+    let steps = (WALL_M / CELL_M) as i32;
+    let mut cells: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
+    for step in -steps / 2..steps / 2 {
+        let aside = f64::from(step) * CELL_M;
+        let place = site.to_map([0, 1].map(|axis| middle[axis] + aside * across[axis]));
+        let (id, index) = cell_at(site.zone(), place);
+        let half = WALL_HITS * 128;
+        let hit = CellHits { index, hits: WALL_HITS, offset_sum: [half, half] };
+        cells.entry(id).or_default().insert(index, hit);
+    }
+    cells.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
+}
+
+/// The tile of a place in map metres, and the cell's index in it.
+fn cell_at(zone: Zone, place: [f64; 2]) -> (TileId, u32) {
+    let cell = CellIndex::of(place);
+    let id = TileId::of_cell(zone, cell);
+    let first = id.first_cell();
+    (id, ((cell.y - first.y) * CELLS_PER_TILE as i64 + (cell.x - first.x)) as u32)
+}
+
+/// Adds hits to an upload, in the tiles it tells of anyway.
+fn add(upload: &mut Upload, hits: &BTreeMap<TileId, Vec<CellHits>>) {
+    for (id, more) in hits {
+        let Some(share) = upload.contribution.tiles.get_mut(id) else { continue };
+        for hit in more {
+            match share.cells.binary_search_by_key(&hit.index, |cell| cell.index) {
+                Ok(at) => share.cells[at] = *hit,
+                Err(at) => share.cells.insert(at, *hit),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::town;
+    use super::*;
+
+    /// Catches: cells out of order, and a wall elsewhere than in the street.
+    #[test]
+    fn the_wall_lies_across_the_street_and_joins_an_upload_in_order() {
+        let city = town::small(21).unwrap();
+        let wall = wall(&city);
+        let count: usize = wall.values().map(Vec::len).sum();
+        assert!((140..=200).contains(&count), "{count}");
+        let drive = town::drive(&city, 0, town::Way::Errand, 1).unwrap();
+        let total = |uploads: &[Upload]| -> usize {
+            let shares = uploads.iter().flat_map(|u| u.contribution.tiles.values());
+            shares.map(|share| share.cells.len()).sum()
+        };
+        let honest = Attack::None.uploads(&city, &drive, 1).unwrap();
+        let bad = Attack::Wall.uploads(&city, &drive, 1).unwrap();
+        let ordered = |u: &Upload| {
+            u.contribution.tiles.values().all(|s| s.cells.windows(2).all(|w| w[0].index < w[1].index))
+        };
+        assert!(bad.iter().all(ordered) && total(&bad) > total(&honest));
+        assert!(total(&Attack::Erase.uploads(&city, &drive, 1).unwrap()) < 20 * bad.len());
+        assert_eq!(Attack::Replay.uploads(&city, &drive, 1).unwrap().len(), (1 + REPLAYS) * honest.len());
+    }
+}

@@ -1,0 +1,132 @@
+//! A map made the service's way: uploads are held against it, moved onto it and folded, or kept out.
+
+use std::cell::RefCell;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use echofix_core::align::weights::TileWeights;
+use echofix_core::datum::{Datum, Offset};
+use echofix_core::evidence::{Contribution, Share};
+use echofix_core::geo::{TILE_M, TileId, Zone};
+use echofix_core::tile::{Decay, Ledger, Tile};
+use echofix_core::vetting::{self, Limits, MapSide, Offsets, Vetted, Vetter};
+
+use super::uploads::Upload;
+use crate::evaluate::map::{MapKey, RadarMap};
+
+/// A map in one zone that grows by uploads.
+pub struct CrowdMap {
+    zone: Zone,
+    told: Told,
+    vetter: Vetter,
+    limits: Limits,
+}
+
+/// What has been folded.
+#[derive(Default)]
+struct Told {
+    tiles: BTreeMap<TileId, Tile>,
+    ledgers: BTreeMap<TileId, Ledger>,
+    prepared: RefCell<HashMap<TileId, Arc<TileWeights>>>,
+}
+
+impl CrowdMap {
+    /// An empty one.
+    pub fn new(zone: Zone) -> Self {
+        Self { zone, told: Told::default(), vetter: Vetter::default(), limits: Limits::default() }
+    }
+
+    /// The zone of its grid.
+    pub fn zone(&self) -> Zone {
+        self.zone
+    }
+
+    /// What vetting says of an upload, which is not folded.
+    pub fn vet(&mut self, upload: &Upload) -> Vetted {
+        let cells: Vec<_> =
+            upload.contribution.tiles.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
+        let others = Others { told: &self.told, contributor: upload.pass.contributor };
+        self.vetter.vet(&cells, &others, &self.limits)
+    }
+
+    /// Vets an upload and folds it: what was folded, `None` when it is quarantined.
+    pub fn offer(&mut self, upload: &Upload) -> Option<Vec<(TileId, Share)>> {
+        match self.vet(upload) {
+            Vetted::Agrees(offsets) | Vetted::New(offsets) => Some(self.told.fold(upload, &offsets)),
+            Vetted::Quarantined { .. } => None,
+        }
+    }
+
+    /// Everything in it, whoever told it.
+    pub fn whole(&self, key: MapKey) -> RadarMap {
+        RadarMap::of_tiles(key, self.zone, self.told.tiles.clone())
+    }
+
+    /// Its tiles as they are served: what so many contributors told, decayed to a day counted from the Unix epoch.
+    pub fn published(&self, least: u8, today: Option<u16>) -> BTreeMap<TileId, Tile> {
+        let decay = Decay::default();
+        let served = |(id, tile): (&TileId, &Tile)| (*id, tile.published(least, today, &decay));
+        self.told.tiles.iter().map(served).filter(|(_, tile)| !tile.is_empty()).collect()
+    }
+}
+
+impl Told {
+    fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, Share)> {
+        let mut folded = Vec::new();
+        for (id, share, offset) in moved(&upload.contribution, offsets) {
+            let ledger = self.ledgers.entry(id).or_default();
+            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
+            for near in id.with_neighbours() {
+                self.prepared.get_mut().remove(&near);
+            }
+            folded.push((id, share));
+        }
+        folded
+    }
+
+    /// Did anybody but this contributor tell something of a tile? Passes that its ledger forgot are taken for
+    /// others'.
+    fn by_others(&self, id: TileId, contributor: u64) -> bool {
+        let (Some(tile), Some(ledger)) = (self.tiles.get(&id), self.ledgers.get(&id)) else { return false };
+        let own = ledger.iter().filter(|(pass, _)| pass.contributor == contributor).count();
+        !tile.is_empty() && tile.datum().passes as usize > own
+    }
+}
+
+/// The map without what only the upload's own contributor told.
+struct Others<'a> {
+    told: &'a Told,
+    contributor: u64,
+}
+
+impl MapSide for Others<'_> {
+    fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
+        let Told { tiles, prepared, .. } = self.told;
+        let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
+        let told = self.told.by_others(id, self.contributor);
+        told.then(|| Arc::clone(prepared.borrow_mut().entry(id).or_insert_with(prepare)))
+    }
+
+    fn datum(&self, id: TileId) -> Datum {
+        self.told.tiles.get(&id).map(Tile::datum).unwrap_or_default()
+    }
+}
+
+/// A contribution's shares moved onto the map, each with what moved it at its tile's centre. What was in
+/// view is not moved: its blocks are coarser than any offset.
+fn moved(contribution: &Contribution, offsets: &Offsets) -> Vec<(TileId, Share, Offset)> {
+    let shares = &contribution.tiles;
+    if offsets.is_empty() {
+        return shares.iter().map(|(id, share)| (*id, share.clone(), Offset::default())).collect();
+    }
+    let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
+    let on_map = vetting::moved(&cells, offsets).into_iter().map(|(id, cells)| {
+        let mut share = Share::of_hits(cells);
+        if let Some(before) = shares.get(&id) {
+            share.observed = share.observed.union(&before.observed);
+        }
+        let centre = id.origin().map(|corner| corner + 0.5 * TILE_M);
+        (id, share, Offset::of(&offsets.at(centre)))
+    });
+    on_map.collect()
+}

@@ -1,0 +1,54 @@
+//! A small town, driven through on many days.
+
+use echofix_core::drive::Drive;
+use echofix_sim::{City, CityParams, DriveParams, OdometryModel, Route, downtown, simulate};
+
+use crate::evaluate::map::DAY_US;
+
+/// Length of an ordinary way through it, metres: a few minutes.
+const WAY_M: f64 = 900.0;
+
+/// A town of four blocks, otherwise as hard as the others.
+///
+/// # Errors
+/// When a parameter is out of range.
+pub fn small(seed: u64) -> anyhow::Result<City> {
+    let params = CityParams { blocks_x: 2, blocks_y: 2, ..downtown::city(seed) };
+    Ok(City::generate(&params)?)
+}
+
+/// Which way a vehicle takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// Along every street.
+    Survey,
+    /// Wherever it wants to go.
+    Errand,
+}
+
+/// A drive on a day; the number makes it unlike others.
+///
+/// # Errors
+/// When a parameter is out of range.
+pub fn drive(city: &City, day: u32, way: Way, number: u64) -> anyhow::Result<Drive> {
+    let seed = city.params().seed * 100_000 + number;
+    let route = match way {
+        Way::Survey => Route::survey(city, seed),
+        Way::Errand => Route::wander(city, seed, WAY_M),
+    };
+    let base = downtown::drive();
+    let params = DriveParams {
+        vehicle: format!("vehicle-{number}"),
+        seed,
+        start_time_us: base.start_time_us + i64::from(day) * DAY_US,
+        odometry: OdometryModel::Perfect,
+        ..base
+    };
+    Ok(simulate(&city.on_day(day), &route, &params)?)
+}
+
+/// A day of the simulation, counted from the Unix epoch.
+pub fn utc_day(day: u32) -> u16 {
+    let first = downtown::drive().start_time_us.div_euclid(DAY_US);
+    u16::try_from(first + i64::from(day)).unwrap_or(u16::MAX)
+}

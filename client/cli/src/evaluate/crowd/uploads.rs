@@ -1,0 +1,114 @@
+//! A drive cut into uploads, as a vehicle sends them.
+
+use echofix_client::upload::Config;
+use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::evidence::{Contribution, Pass, contribute};
+use echofix_core::geo::{Grid, Zone};
+use echofix_core::odometry::Trajectory;
+use echofix_core::pose::Pose2;
+use echofix_core::scan::Scan;
+
+use crate::evaluate::map::{DAY_US, Movers, gated, on_grid, stretches};
+
+/// What reaches the service at once.
+#[derive(Debug, Clone)]
+pub struct Upload {
+    /// Whose it is, and of which day.
+    pub pass: Pass,
+    /// What it tells.
+    pub contribution: Contribution,
+}
+
+/// A drive's uploads in order, without movers, from the reference poses known to `max_sigma_m` or better.
+///
+/// # Errors
+/// When its scans and poses do not fit together.
+pub fn cut(drive: &Drive, zone: Zone, contributor: u64, max_sigma_m: f64) -> anyhow::Result<Vec<Upload>> {
+    cut_wrong(drive, zone, contributor, max_sigma_m, |_, _, pose| pose)
+}
+
+/// The same from poses that are made wrong: `wrong` gets an upload's number, the pose in its middle, and a pose.
+///
+/// # Errors
+/// When its scans and poses do not fit together.
+pub fn cut_wrong(
+    drive: &Drive,
+    zone: Zone,
+    contributor: u64,
+    max_sigma_m: f64,
+    wrong: impl Fn(usize, Pose2, Pose2) -> Pose2,
+) -> anyhow::Result<Vec<Upload>> {
+    let grid = Grid::new(zone)?;
+    let scans = gated(drive, Movers::Dropped);
+    let mut uploads = Vec::new();
+    for poses in stretches(&drive.reference, max_sigma_m) {
+        for part in parts(&grid, poses, &Config::default())? {
+            let poses: Vec<_> = on_grid(&grid, part)?.iter().collect();
+            let (number, middle) = (uploads.len(), poses[poses.len() / 2].1);
+            let poses = poses.into_iter().map(|(time_us, pose)| (time_us, wrong(number, middle, pose)));
+            let trajectory = Trajectory::new(poses)?;
+            uploads.extend(upload(&grid, drive, &scans, (part, &trajectory), contributor)?);
+        }
+    }
+    Ok(uploads)
+}
+
+/// Poses up to each cut; neighbours share the pose at it.
+fn parts<'a>(grid: &Grid, poses: &'a [GeoPose], config: &Config) -> anyhow::Result<Vec<&'a [GeoPose]>> {
+    let cut_after_us = (config.cut_after_s * 1e6) as i64;
+    let (mut parts, mut from, mut way_m) = (Vec::new(), 0, 0.0);
+    let mut before = grid.project(poses[0].at)?;
+    for (index, pose) in poses.iter().enumerate().skip(1) {
+        let at = grid.project(pose.at)?;
+        way_m += (at[0] - before[0]).hypot(at[1] - before[1]);
+        before = at;
+        let full = pose.time_us - poses[from].time_us >= cut_after_us || way_m >= config.cut_after_m;
+        if full || index + 1 == poses.len() {
+            parts.push(&poses[from..=index]);
+            (from, way_m) = (index, 0.0);
+        }
+    }
+    Ok(parts)
+}
+
+/// The upload of some poses; none where the vehicle stood and nothing counts.
+fn upload(
+    grid: &Grid,
+    drive: &Drive,
+    scans: &[Scan],
+    (poses, trajectory): (&[GeoPose], &Trajectory),
+    contributor: u64,
+) -> anyhow::Result<Option<Upload>> {
+    let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
+    let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
+    let scale = grid.scale_factor(poses[0].at)?;
+    // Movers are gone already, and odometry told them better than absolute poses would.
+    let gate = Movers::Kept.gate();
+    let (contribution, _) =
+        contribute(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
+    let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US))?;
+    Ok((contribution.detections > 0).then_some(Upload { pass: Pass { day, contributor }, contribution }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echofix_core::geo::LatLon;
+
+    /// Catches: a cut that loses the poses at its edge, or one by time alone.
+    #[test]
+    fn parts_follow_each_other_and_are_short_in_time_and_way() {
+        let grid = Grid::of(LatLon { lat_deg: 30.0, lon_deg: -97.0 }).unwrap();
+        let pose = |k: i64| GeoPose {
+            time_us: k * 100_000,
+            // At rest, then at 20 m/s.
+            at: LatLon { lat_deg: 30.0 + (k - 200).max(0) as f64 * 1.8e-5, lon_deg: -97.0 },
+            ..GeoPose::default()
+        };
+        let poses: Vec<_> = (0..=400).map(pose).collect();
+        let parts = parts(&grid, &poses, &Config::default()).unwrap();
+        let lengths: Vec<_> = parts.iter().map(|part| part.len()).collect();
+        assert_eq!(lengths, [101, 101, 52, 52, 52, 49]);
+        assert!(parts.windows(2).all(|two| two[0].last() == two[1].first()));
+    }
+}

@@ -1,0 +1,217 @@
+//! How maps age over a year in which the town changes.
+
+use std::fmt::Write as _;
+
+use echofix_core::drive::Drive;
+use echofix_core::geo::Zone;
+use echofix_sim::City;
+use echofix_sim::city::{Change, Plot};
+use rayon::prelude::*;
+
+use super::Scale;
+use super::fixes::{Summary, fixes};
+use super::map::CrowdMap;
+use super::town::{self, Way};
+use super::uploads;
+use crate::evaluate::condition::Experiment;
+use crate::evaluate::map::{MapKey, Movers, RadarMap};
+use crate::evaluate::method::Name;
+use crate::evaluate::plots::Curve;
+use crate::evaluate::record::Record;
+use crate::evaluate::sections::{Figure, Section};
+
+/// Vehicles that map.
+const CONTRIBUTORS: u64 = 5;
+/// Contributors that tell of a place before it is served.
+const LEAST: u8 = 3;
+/// What the service takes poses for known from, metres.
+const MAX_SIGMA_M: f64 = 0.3;
+
+/// When who drives.
+struct Calendar {
+    /// Days from one on which is mapped to the next.
+    map_every: u32,
+    /// Days from one on which is localized to the next.
+    fix_every: u32,
+    /// Fixes a day.
+    fixes: usize,
+}
+
+/// Days of the year.
+const YEAR: u32 = 360;
+
+impl Calendar {
+    fn of(scale: &Scale) -> Self {
+        if scale.quick {
+            Self { map_every: 40, fix_every: 120, fixes: 20 }
+        } else {
+            Self { map_every: 12, fix_every: 36, fixes: 90 }
+        }
+    }
+}
+
+/// What changes in a town: a building goes, another one comes, a street is narrowed for four months.
+fn changes(city: &City) -> Vec<Change> {
+    let streets = city.network().streets();
+    let plot = |street: usize, left| {
+        let middle_m = 0.5 * streets[street].length_m();
+        Plot { street, left, along_m: middle_m - 17.0..middle_m + 17.0 }
+    };
+    let last = streets.len() - 1;
+    vec![
+        Change::Demolished(plot(0, true), 90),
+        Change::Built(plot(last / 2, false), 150),
+        Change::Roadworks(last, 60..180),
+    ]
+}
+
+/// The maps that are compared.
+struct Maps {
+    first: RadarMap,
+    everything: RadarMap,
+    crowd: CrowdMap,
+    /// Uploads, and how many of them were quarantined.
+    uploads: [usize; 2],
+}
+
+impl Maps {
+    fn new(zone: Zone) -> Self {
+        let plain = || RadarMap::new(MapKey { world: 0, contributors: 1, movers: Movers::Kept }, zone);
+        Self { first: plain(), everything: plain(), crowd: CrowdMap::new(zone), uploads: [0, 0] }
+    }
+
+    fn add(&mut self, drive: &Drive, contributor: u64, day: u32) -> anyhow::Result<()> {
+        let mut one = RadarMap::new(self.first.key, self.crowd.zone());
+        one.add(drive, contributor, MAX_SIGMA_M)?;
+        self.everything.join(&one);
+        if day == 0 {
+            self.first.join(&one);
+        }
+        let uploads = uploads::cut(drive, self.crowd.zone(), contributor, MAX_SIGMA_M)?;
+        let counted = uploads.iter().filter(|upload| self.crowd.offer(upload).is_some()).count();
+        self.uploads[0] += uploads.len();
+        self.uploads[1] += uploads.len() - counted;
+        Ok(())
+    }
+
+    /// Fixes by the first map, by everything, by the crowd's.
+    fn fixes(&self, drive: &Drive, today: u16, most: usize) -> anyhow::Result<[Vec<Record>; 3]> {
+        let key = MapKey { movers: Movers::Dropped, ..self.first.key };
+        let served = RadarMap::of_tiles(key, self.crowd.zone(), self.crowd.published(LEAST, Some(today)));
+        Ok([
+            fixes(&self.first, drive, Name::Paper, most)?,
+            fixes(&self.everything, drive, Name::Paper, most)?,
+            fixes(&served, drive, Name::Echofix, most)?,
+        ])
+    }
+}
+
+/// Fixes of the days on which is localized.
+type Days = Vec<(u32, [Vec<Record>; 3])>;
+
+/// One town's year, and its uploads.
+fn year(seed: u64, calendar: &Calendar) -> anyhow::Result<(Days, [usize; 2])> {
+    let city = town::small(seed)?;
+    let changes = changes(&city);
+    let city = city.changing(&changes)?;
+    let mut maps = Maps::new(city.site().zone());
+    let mut days = Vec::new();
+    for day in 0..YEAR {
+        if day % calendar.map_every == 0 {
+            let turn = u64::from(day / calendar.map_every);
+            let (way, who): (_, Vec<u64>) = match day {
+                0 => (Way::Survey, (0..CONTRIBUTORS).collect()),
+                _ => (Way::Errand, [turn, turn + 2].map(|k| k % CONTRIBUTORS).to_vec()),
+            };
+            let drives: Vec<_> = who
+                .par_iter()
+                .map(|who| town::drive(&city, day, way, u64::from(day) * CONTRIBUTORS + who))
+                .collect::<anyhow::Result<_>>()?;
+            for (who, drive) in who.iter().zip(&drives) {
+                maps.add(drive, *who, day)?;
+            }
+        }
+        if day % calendar.fix_every == calendar.fix_every / 2 {
+            let drive = town::drive(&city, day, Way::Survey, 90_000 + u64::from(day))?;
+            days.push((day, maps.fixes(&drive, town::utc_day(day), calendar.fixes)?));
+        }
+    }
+    Ok((days, maps.uploads))
+}
+
+/// The maps by name.
+const NAMES: [&str; 3] = ["paper, map of day 0", "paper, everything added", "echofix"];
+
+/// The section.
+///
+/// # Errors
+/// When a town or a drive cannot be simulated.
+pub fn section(scale: &Scale) -> anyhow::Result<Section> {
+    let calendar = Calendar::of(scale);
+    let towns = scale.towns(2);
+    let mut all: Days = Vec::new();
+    let mut uploads = [0, 0];
+    for seed in towns {
+        let (days, counted) = year(*seed, &calendar)?;
+        for (sum, count) in uploads.iter_mut().zip(counted) {
+            *sum += count;
+        }
+        for (day, rows) in days {
+            match all.iter_mut().find(|(known, _)| *known == day) {
+                Some((_, known)) => known.iter_mut().zip(rows).for_each(|(all, more)| all.extend(more)),
+                None => all.push((day, rows)),
+            }
+        }
+    }
+    let curve = |(colour, name): (usize, &&str)| Curve {
+        name: (*name).to_owned(),
+        colour,
+        points: all.iter().map(|(day, rows)| (f64::from(*day), Summary::of(&rows[colour]).p95_m)).collect(),
+    };
+    let curves = NAMES.iter().enumerate().map(curve).collect();
+    let title = "95 % of the errors, on days of a year".to_owned();
+    let figure = Figure::Days(title, curves);
+    Ok(Section {
+        experiment: Experiment::Year,
+        text: format!(
+            "{}\n{}\n![A year](docs/evaluation/year.svg)\n",
+            words(&calendar, uploads),
+            table(&all)
+        ),
+        figures: vec![("year.svg", figure)],
+        data: Some(scale.words(towns)),
+    })
+}
+
+fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
+    let every = calendar.map_every;
+    format!(
+        "### A year
+
+Five vehicles map a town all on day 0, then two of them every {every} days, 900 m each. Parked cars change every day. One building is
+gone from day 90 on, one is built on day 150, and barriers stand where cars park in one street from day 60 to 179. Another vehicle
+drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
+what the service serves of what at least three contributors told. Of {uploads} uploads {quarantined} were quarantined.
+"
+    )
+}
+
+fn table(all: &Days) -> String {
+    let of_map = |name: &str| format!("{name}: 95 %, cm | wrong by > 1 m | usable | wrong, of the usable");
+    let mut table = format!(
+        "| day | fixes | {} |\n|{}\n",
+        NAMES.map(of_map).join(" | "),
+        "---|".repeat(2 + 4 * NAMES.len())
+    );
+    let mut line = |name: &str, rows: [&[Record]; 3]| {
+        let cells = rows.map(|rows| Summary::of(rows).cells()).join(" | ");
+        let _ = writeln!(table, "| {name} | {} | {cells} |", rows[0].len());
+    };
+    for (day, rows) in all {
+        line(&day.to_string(), rows.each_ref().map(Vec::as_slice));
+    }
+    let whole: [Vec<Record>; 3] =
+        std::array::from_fn(|k| all.iter().flat_map(|(_, rows)| rows[k].clone()).collect());
+    line("all", whole.each_ref().map(Vec::as_slice));
+    table
+}
