@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use echofix_client::upload::{Config, Upload};
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
@@ -20,7 +21,7 @@ const VEHICLES: u32 = 4;
 /// Short uploads without end, by their number.
 pub struct Uploads {
     seed: u64,
-    /// A header and one chunk each.
+    /// Half a second of driving each.
     templates: Vec<Vec<UploadRequest>>,
     next: AtomicU32,
 }
@@ -29,8 +30,8 @@ impl Uploads {
     /// Parts of a drive through the town.
     pub fn new(seed: u64) -> Self {
         let drive = town::wander(&town::town(seed), 0, "mapper", seed, 300.0);
-        let short = |upload: &echofix_client::upload::Upload| upload.parts()[..2].to_vec();
-        let templates = mapping::uploads(&drive).iter().map(short).collect();
+        let short = Config { cut_after_s: 0.5, cut_after_m: 5.0, ..mapping::whole() };
+        let templates = mapping::uploads_as(&drive, short).into_iter().map(Upload::into_parts).collect();
         Self { seed, templates, next: AtomicU32::new(0) }
     }
 

@@ -4,7 +4,7 @@
 
 /// A deliberate defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(not(debug_assertions), expect(dead_code, reason = "builds that serve have no faults"))]
+#[cfg_attr(not(debug_assertions), allow(dead_code, reason = "builds that serve have no faults"))]
 pub(super) enum Fault {
     /// An upload is acknowledged before it is written: a crash loses it.
     AckBeforeWrite,
