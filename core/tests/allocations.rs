@@ -11,7 +11,7 @@ use echofix_core::align::verdict::{Integrity, Verdict};
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Search, Task};
 use echofix_core::batch::{Batch, Sighting};
-use echofix_core::evidence::Cell;
+use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, TileId, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::tile::Tile;
@@ -123,7 +123,14 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
         let cell = CellIndex::of(*point);
         let id = TileId::of_cell(frame.zone, cell);
         let index = (cell.y - id.first_cell().y) * 512 + cell.x - id.first_cell().x;
-        let middle = Cell { hits: 2, passes: 1, offset_sum: [256, 256], ..Cell::default() };
+        let middle = Cell {
+            hits: 2,
+            passes: 1,
+            contributors: 1,
+            presence: presence::ALWAYS,
+            offset_sum: [256, 256],
+            ..Cell::default()
+        };
         cells.entry(id).or_default().insert(index as u32, middle);
     }
     let tile = |cells: BTreeMap<u32, Cell>| Tile::from_cells(cells.into_iter().collect());

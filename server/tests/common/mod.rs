@@ -31,7 +31,13 @@ pub struct Running {
 
 pub fn config(dir: &Path, settings: &[(&str, &str)]) -> Config {
     let dir = dir.display().to_string();
-    let ours = [("grpc.listen", "127.0.0.1:0"), ("http.listen", "127.0.0.1:0"), ("store.data_dir", &dir)];
+    // One vehicle is enough to make a map.
+    let ours = [
+        ("grpc.listen", "127.0.0.1:0"),
+        ("http.listen", "127.0.0.1:0"),
+        ("store.data_dir", &dir),
+        ("mapping.publish_contributors", "1"),
+    ];
     let settings = ours.iter().chain(settings).map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
     Config::load(&Sources { settings, ..Sources::default() }).unwrap()
 }
