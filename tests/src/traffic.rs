@@ -101,11 +101,6 @@ impl Acknowledgements {
         }
         lost
     }
-
-    /// Detections that the map must show: each upload's once.
-    pub fn detections(&self) -> u64 {
-        self.answers.values().map(|answer| answer.detections_counted).sum()
-    }
 }
 
 /// One vehicle: upload after upload, until one fails.

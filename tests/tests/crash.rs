@@ -5,10 +5,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use echofix_core::tile;
 use echofix_tests::service::{Service, Setup};
+use echofix_tests::tiles::Tiles;
 use echofix_tests::traffic::{Acknowledgements, Uploads};
-use echofix_tests::{mapping, tiles, town};
+use echofix_tests::{grpc, mapping, tiles, town};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -17,7 +17,11 @@ fn kills() -> u32 {
 }
 
 /// Uploads, kills and starts again; returns what was lost up to the first loss, if `until_lost`, or in all.
-async fn killed(setup: Setup, kills: u32, until_lost: bool) -> (Service, Acknowledgements, Vec<u32>) {
+async fn killed(
+    setup: Setup,
+    kills: u32,
+    until_lost: bool,
+) -> (Service, Arc<Uploads>, Acknowledgements, Vec<u32>) {
     let seed = town::seed();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let uploads = Arc::new(Uploads::new(seed));
@@ -47,31 +51,38 @@ async fn killed(setup: Setup, kills: u32, until_lost: bool) -> (Service, Acknowl
             break;
         }
     }
-    (service, known, lost)
+    (service, uploads, known, lost)
 }
 
 /// Catches an acknowledgement before the journal has it, a torn write that is not cut off or cuts off too much, and
 /// a fold that is lost or done twice.
 #[tokio::test(flavor = "multi_thread")]
 async fn no_kill_loses_an_acknowledged_upload() {
-    let (service, known, lost) = killed(Setup::default(), kills(), false).await;
+    let (service, uploads, known, lost) = killed(Setup::default(), kills(), false).await;
     eprintln!("{} kills, {} uploads acknowledged, {} lost", kills(), known.answers.len(), lost.len());
     assert_eq!(lost, [0; 0], "of {} acknowledged uploads these are lost", known.answers.len());
-    mapping::settled(&service).await;
-    let tiles = tiles::all(&service).await;
-    let hits = |encoded: &Vec<u8>| -> u64 {
-        let tile = tile::decode(encoded).expect("a served tile decodes");
-        tile.cells().iter().map(|(_, cell)| u64::from(cell.hits)).sum()
-    };
-    let shown: u64 = tiles.values().map(|(_, encoded)| hits(encoded)).sum();
-    assert_eq!(shown, known.detections(), "each detection is counted once");
+    let crashed = (mapping::settled(&service).await, tiles::all(&service).await);
+    assert_eq!(crashed.0 as usize, known.answers.len(), "a record for each upload");
+    assert!(crashed == undisturbed(&uploads, &known).await, "a crash leaves no trace in the map");
+}
+
+/// The map of the same uploads in the same order on a service that never crashes.
+async fn undisturbed(uploads: &Uploads, known: &Acknowledgements) -> (u64, Tiles) {
+    let service = Service::start();
+    let mut client = grpc::mapping(&service).await;
+    let mut numbers: Vec<_> = known.answers.iter().map(|(number, answer)| (answer.epoch, *number)).collect();
+    numbers.sort_unstable();
+    for (_, number) in numbers {
+        mapping::send(&mut client, &uploads.parts(number)).await.expect("the upload is acknowledged");
+    }
+    (mapping::settled(&service).await, tiles::all(&service).await)
 }
 
 /// Shows that the test above would notice: a service that acknowledges before it writes is caught.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_acknowledges_before_it_writes_is_caught() {
     let broken = Setup { fault: Some("ack-before-write"), ..Setup::default() };
-    let (_, known, lost) = killed(broken, kills(), true).await;
+    let (_, _, known, lost) = killed(broken, kills(), true).await;
     eprintln!("{} uploads acknowledged, {} lost", known.answers.len(), lost.len());
     assert!(!lost.is_empty(), "{} acknowledged uploads, none lost", known.answers.len());
 }

@@ -154,12 +154,16 @@ impl Run {
         } else {
             self.service.kill();
         }
-        while let Some(call) = calls.join_next().await {
-            match call.expect("a call does not panic") {
-                (number, Ok(answer)) => self.model.told(number, answer, true),
-                (number, Err(_)) => self.model.open.push(number),
+        let mut answers = Vec::new();
+        for (number, answer) in calls.join_all().await {
+            match answer {
+                Ok(answer) => answers.push((number, answer)),
+                Err(_) => self.model.open.push(number),
             }
         }
+        // Of one upload that was sent twice at once, the first answer may arrive last.
+        answers.sort_by_key(|(_, answer)| answer.duplicate);
+        answers.into_iter().for_each(|(number, answer)| self.model.told(number, answer, true));
         tokio::task::block_in_place(|| self.service.start_again());
     }
 

@@ -79,6 +79,10 @@ impl Writer {
 
     /// Writes a group, syncs it, and only then answers.
     fn commit(&mut self, group: Vec<Append>) {
+        if fault() == Some(Fault::AckBeforeWrite) {
+            // As one that writes now and then.
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
         let written = match &self.stopped {
             Some(reason) => Err(Failure::Unknown(reason.clone())),
             None => self.roll(&group[0]).and_then(|()| self.write(&group)),
