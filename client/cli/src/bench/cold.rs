@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::load::once;
-use super::town::Town;
+use super::town::{TRUSTING, Town};
 use crate::machine::{held_by, used_by};
 use crate::service::Service;
 use crate::statistics::Percentiles;
@@ -36,7 +36,9 @@ pub struct Cold {
 /// # Errors
 /// When the service does not come up or answer.
 pub(super) async fn measure(town: &Town, folder: &Path) -> anyhow::Result<Cold> {
-    let service = Service::start(folder, &["locating.threads=1".to_owned(), ROOM.to_owned()]).await?;
+    let service =
+        Service::start(folder, &["locating.threads=1".to_owned(), ROOM.to_owned(), TRUSTING.to_owned()])
+            .await?;
     let used = || service.pid().and_then(used_by).map(|used| used.as_secs_f64() * 1e3);
     let held = || service.pid().and_then(held_by).map(|kibibytes| kibibytes as f64 * 1024e-6);
     let (used_0, held_0) = (used(), held());

@@ -164,7 +164,7 @@ async fn loaded(
 ) -> anyhow::Result<(Load, Vec<Fix>)> {
     let mut settings = settings.to_vec();
     settings.push(format!("locating.threads={threads}"));
-    settings.push(cold::ROOM.to_owned());
+    settings.extend([cold::ROOM, town::TRUSTING].map(str::to_owned));
     let service = Service::start(folder, &settings).await?;
     let clients = threads * plan.clients_per_thread;
     load::once(&service, &town.recording).await?;
