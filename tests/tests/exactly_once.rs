@@ -113,7 +113,9 @@ impl Run {
         let firsts = answers.iter().filter(|answer| !answer.duplicate).count();
         assert!(firsts == 1 || firsts == 0 && maybe_known, "{firsts} of {} count", answers.len());
         answers.sort_by_key(|answer| answer.duplicate);
-        answers.into_iter().for_each(|answer| self.model.told(number, answer, maybe_known));
+        for answer in answers {
+            self.model.told(number, answer, maybe_known);
+        }
         self.model.open.retain(|open| *open != number);
     }
 
@@ -163,7 +165,9 @@ impl Run {
         }
         // Of one upload that was sent twice at once, the first answer may arrive last.
         answers.sort_by_key(|(_, answer)| answer.duplicate);
-        answers.into_iter().for_each(|(number, answer)| self.model.told(number, answer, true));
+        for (number, answer) in answers {
+            self.model.told(number, answer, true);
+        }
         tokio::task::block_in_place(|| self.service.start_again());
     }
 

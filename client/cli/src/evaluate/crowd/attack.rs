@@ -61,7 +61,9 @@ impl Attack {
             Self::None => honest(drive),
             Self::Wall => {
                 let (wall, mut uploads) = (wall(city), honest(drive)?);
-                uploads.iter_mut().for_each(|upload| add(upload, &wall));
+                for upload in &mut uploads {
+                    add(upload, &wall);
+                }
                 Ok(uploads)
             }
             Self::Erase => {

@@ -161,7 +161,7 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
         experiment: Experiment::Attacks,
         text: format!("{}\n{}", words(contributors), table(&all)),
         figures: Vec::new(),
-        data: Some(scale.words(towns)),
+        data: Some(super::places(towns)),
     })
 }
 

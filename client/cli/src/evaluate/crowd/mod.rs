@@ -33,12 +33,12 @@ impl Scale {
         let most = if self.quick { 1 } else { most };
         &self.towns[..self.towns.len().min(most)]
     }
+}
 
-    /// Where the figures come from.
-    fn words(&self, towns: &[u64]) -> String {
-        let seeds: Vec<_> = towns.iter().map(u64::to_string).collect();
-        format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
-    }
+/// Where the figures come from.
+fn places(towns: &[u64]) -> String {
+    let seeds: Vec<_> = towns.iter().map(u64::to_string).collect();
+    format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
 }
 
 /// The section of one of [`Experiment::OF_THE_CROWD`]; `None` for the others.

@@ -55,8 +55,7 @@ impl Form {
     /// Bytes of an upload.
     fn bytes(self, contribution: &Contribution) -> u64 {
         let sent = |form: fn(Self, &[CellHits]) -> Vec<CellHits>| {
-            let share =
-                |share: &Share| Share { cells: form(self, &share.cells), observed: share.observed.clone() };
+            let share = |share: &Share| Share { cells: form(self, &share.cells), observed: share.observed };
             let tiles = contribution.tiles.iter().map(|(id, told)| (*id, share(told))).collect();
             codec::encode(&Contribution { tiles, detections: contribution.detections }).len() as u64
         };
@@ -194,7 +193,7 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
         experiment: Experiment::Upload,
         text: format!("{WORDS}\n{table}"),
         figures: Vec::new(),
-        data: Some(scale.words(towns)),
+        data: Some(super::places(towns)),
     })
 }
 

@@ -150,7 +150,7 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
         experiment: Experiment::Vetting,
         text: format!("{WORDS}\n{table}"),
         figures: Vec::new(),
-        data: Some(scale.words(towns)),
+        data: Some(super::places(towns)),
     })
 }
 

@@ -179,7 +179,7 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
             table(&all)
         ),
         figures: vec![("year.svg", figure)],
-        data: Some(scale.words(towns)),
+        data: Some(super::places(towns)),
     })
 }
 
