@@ -190,13 +190,8 @@ fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::R
     let file = folder.join("BENCHMARKS.md");
     let known = std::fs::read_to_string(&file).unwrap_or_default();
     let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
-    let has_place = |section: &Section, (name, _): &(String, String)| {
-        Experiment::OF_THE_CROWD.contains(&section.experiment)
-            || known.contains(&format!("<!-- {name}:begin -->"))
-    };
-    if sections.len() < Experiment::ALL.len()
-        && sections.iter().zip(&parts).all(|(section, part)| has_place(section, part))
-    {
+    // What the page says of other experiments stays; a new one goes to its end.
+    if sections.len() < Experiment::ALL.len() && known.contains("<!-- evaluate:begin -->") {
         return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
     }
     report::write_section(&file, "evaluate", &page(about, sections))
