@@ -87,6 +87,23 @@ pub fn wrap_axis(direction_rad: f64) -> f64 {
     if wrapped > 0.5 * PI { wrapped - PI } else { wrapped }
 }
 
+/// The weighted mean of shifts and small turns, component by component; no shift without any weight.
+#[must_use]
+pub fn weighted_mean(shifts: impl IntoIterator<Item = (f64, Pose2)>) -> Pose2 {
+    let (mut sum, mut weights) = ([0.0; 3], 0.0);
+    for (weight, shift) in shifts {
+        for (sum, part) in sum.iter_mut().zip([shift.x_m, shift.y_m, shift.yaw_rad]) {
+            *sum += weight * part;
+        }
+        weights += weight;
+    }
+    if weights > 0.0 {
+        Pose2::new(sum[0] / weights, sum[1] / weights, sum[2] / weights)
+    } else {
+        Pose2::IDENTITY
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -126,26 +126,32 @@ async fn tiles_that_do_not_exist_are_named_and_senseless_questions_refused() {
     }
 }
 
-/// Catches coverage that is counted in the wrong place or of the wrong day.
-#[tokio::test(flavor = "multi_thread")]
-async fn coverage_tells_the_mapped_road_from_the_unknown() {
-    let world = world().await;
-    let mut client = grpc::reading(&world.service).await;
+/// A route of so many points where it was driven, then north of it where nobody was, and beyond UTM.
+fn mapped_and_unknown(world: &World, expectations: bool) -> (usize, GetCoverageRequest) {
     let mapped: Vec<LatLon> = world.visit(300.0).truth.iter().step_by(40).map(|pose| pose.at).collect();
-    // North of it where nobody drove, and beyond UTM.
     let unknown = [0.02, 54.5].map(|north| LatLon { lat_deg: mapped[0].lat_deg + north, ..mapped[0] });
     let route: Vec<LatLon> = mapped.iter().copied().chain(unknown).collect();
     let request = GetCoverageRequest {
         latitude_deg: route.iter().map(|at| at.lat_deg).collect(),
         longitude_deg: route.iter().map(|at| at.lon_deg).collect(),
-        expectations: false,
+        expectations,
     };
+    (mapped.len(), request)
+}
+
+/// Catches coverage that is counted in the wrong place or of the wrong day.
+#[tokio::test(flavor = "multi_thread")]
+async fn coverage_tells_the_mapped_road_from_the_unknown() {
+    let world = world().await;
+    let mut client = grpc::reading(&world.service).await;
+    let (mapped, request) = mapped_and_unknown(world, false);
+    let rows = request.latitude_deg.len();
     let coverage = client.get_coverage(request).await.unwrap().into_inner();
     assert_eq!(coverage.epoch, world.answers.len() as u64);
-    assert_eq!((coverage.cells.len(), coverage.newest_day.len()), (route.len(), route.len()));
-    let (on, off) = coverage.cells.split_at(mapped.len());
+    assert_eq!((coverage.cells.len(), coverage.newest_day.len()), (rows, rows));
+    let (on, off) = coverage.cells.split_at(mapped);
     assert!(on.iter().all(|cells| *cells > 1_000) && off == [0, 0], "{coverage:?}");
-    let (on, off) = coverage.newest_day.split_at(mapped.len());
+    let (on, off) = coverage.newest_day.split_at(mapped);
     assert!(on.iter().all(|day| *day == 20_454) && off == [0, 0], "{coverage:?}");
 
     let refused = |rows: usize, others: usize, expectations| GetCoverageRequest {
@@ -166,16 +172,9 @@ async fn coverage_tells_the_mapped_road_from_the_unknown() {
 async fn a_route_is_told_where_fixes_can_be_expected() {
     let world = world().await;
     let mut client = grpc::reading(&world.service).await;
-    let mapped: Vec<LatLon> = world.visit(300.0).truth.iter().step_by(40).map(|pose| pose.at).collect();
-    let unknown = [0.02, 54.5].map(|north| LatLon { lat_deg: mapped[0].lat_deg + north, ..mapped[0] });
-    let route: Vec<LatLon> = mapped.iter().copied().chain(unknown).collect();
-    let request = GetCoverageRequest {
-        latitude_deg: route.iter().map(|at| at.lat_deg).collect(),
-        longitude_deg: route.iter().map(|at| at.lon_deg).collect(),
-        expectations: true,
-    };
+    let (mapped, request) = mapped_and_unknown(world, true);
     let coverage = client.get_coverage(request.clone()).await.unwrap().into_inner();
-    let (on, off) = coverage.expected.split_at(mapped.len());
+    let (on, off) = coverage.expected.split_at(mapped);
     assert!(off.iter().all(|fix| fix.status() == FixStatus::TooLittleMap && fix.version == 0), "{off:?}");
     let usable = on.iter().filter(|fix| fix.status() == FixStatus::Usable).count();
     assert!(usable * 10 >= on.len() * 8, "{usable} of {}", on.len());

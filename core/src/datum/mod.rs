@@ -1,7 +1,7 @@
 //! What the contributors of a tile were moved by: how far the crowd says the map's georeference errs.
 
 use crate::geo::{TILE_M, TileId, Zone};
-use crate::pose::Pose2;
+use crate::pose::{Pose2, weighted_mean};
 
 /// Offsets by which contributions to a tile were moved, at its centre, summed up. Sums are of integers:
 /// they come out the same in any order.
@@ -96,21 +96,12 @@ pub fn mean_offset(zone: Zone, place: [f64; 2], datum: impl Fn(TileId) -> Datum)
     let [u, v] = place.map(|c| c / TILE_M - 0.5);
     let (column, row) = (u.floor(), v.floor());
     let (fx, fy) = (u - column, v - row);
-    let (mut sum, mut weights) = ([0.0; 3], 0.0);
-    for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+    let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(|(dx, dy)| {
         let id = TileId { zone, x: column as i32 + dx, y: row as i32 + dy };
-        let Some(mean) = datum(id).mean() else { continue };
         let weight = [1.0 - fx, fx][dx as usize] * [1.0 - fy, fy][dy as usize];
-        for (sum, part) in sum.iter_mut().zip([mean.x_m, mean.y_m, mean.yaw_rad]) {
-            *sum += weight * part;
-        }
-        weights += weight;
-    }
-    if weights > 0.0 {
-        Pose2::new(sum[0] / weights, sum[1] / weights, sum[2] / weights)
-    } else {
-        Pose2::IDENTITY
-    }
+        Some((weight, datum(id).mean()?))
+    });
+    weighted_mean(corners)
 }
 
 #[cfg(test)]

@@ -31,15 +31,19 @@ impl Decay {
 }
 
 impl Tile {
+    /// Cells in support blocks that at least `min_contributors` distinct contributors have hit.
+    pub fn supported(&self, min_contributors: u8) -> impl Iterator<Item = &(u32, Cell)> {
+        self.cells.iter().filter(move |(index, _)| self.support[support_block(*index)] >= min_contributors)
+    }
+
     /// The tile that is served: cells in support blocks that at least `min_contributors` distinct
     /// contributors have hit, decayed to `today` (a UTC day counted from the Unix epoch; nothing decays
     /// without it). What is known of blocks is kept only where there are such cells, so that nothing
     /// tells where fewer contributors went.
     #[must_use]
     pub fn published(&self, min_contributors: u8, today: Option<u16>, decay: &Decay) -> Self {
-        let supported = |index: u32| self.support[support_block(index)] >= min_contributors;
         let worth = |cell: Cell| today.map_or(Some(cell), |today| decay.applied(cell, today));
-        let cells = self.cells.iter().filter(|(index, _)| supported(*index));
+        let cells = self.supported(min_contributors);
         let cells: Vec<_> = cells.filter_map(|(index, cell)| Some((*index, worth(*cell)?))).collect();
         let mut observed = Box::new([0; VIEW_BLOCKS]);
         let mut support = Box::new([0; SUPPORT_BLOCKS]);

@@ -19,14 +19,14 @@ pub mod part;
 use std::sync::Arc;
 
 use crate::align::weights::TileWeights;
+use crate::datum::Datum;
 use crate::evidence::CellHits;
 use crate::geo::TileId;
+use crate::tile::{Ledger, Tile};
 
 pub use judge::{Limits, Probed, Reason, Vetted, Vetter, Voice};
-pub use moved::moved;
+pub use moved::{moved, moved_shares};
 pub use offset::Offsets;
-
-use crate::datum::Datum;
 
 /// An upload's cells in one tile, in order of their index.
 pub type Share<'a> = (TileId, &'a [CellHits]);
@@ -40,4 +40,12 @@ pub trait MapSide {
 
     /// What the tile's contributors were moved by; empty where the map has nothing.
     fn datum(&self, id: TileId) -> Datum;
+}
+
+/// Did anybody but this contributor tell something of a tile? Passes that its ledger has forgotten are taken
+/// for others'.
+#[must_use]
+pub fn told_by_others(tile: &Tile, ledger: &Ledger, contributor: u64) -> bool {
+    let own = ledger.iter().filter(|(pass, _)| pass.contributor == contributor).count();
+    !tile.is_empty() && tile.datum().passes as usize > own
 }

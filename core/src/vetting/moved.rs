@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use super::{Offsets, Share};
-use crate::evidence::{CellHits, OFFSET_STEPS};
-use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId};
+use crate::datum::Offset;
+use crate::evidence::{self, CellHits, OFFSET_STEPS};
+use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TILE_M, TileId};
 
 /// Moves cells by the offset at their place: each goes whole, with the mean place of its hits, into the cell
 /// where that place comes to lie, be it another tile's. Hits are conserved.
@@ -51,10 +52,31 @@ fn shifted(first: CellIndex, cell: &CellHits, offsets: &Offsets) -> (CellIndex, 
     (CellIndex { x, y }, CellHits { offset_sum: [east, north], ..*cell })
 }
 
+/// A contribution's shares in one zone, in order of their tiles, moved onto the map; each with what moved it
+/// at its tile's centre. What was in view is not moved: its blocks are coarser than any offset.
+#[must_use]
+pub fn moved_shares(
+    shares: &[(TileId, &evidence::Share)],
+    offsets: &Offsets,
+) -> Vec<(TileId, evidence::Share, Offset)> {
+    if offsets.is_empty() {
+        return shares.iter().map(|(id, share)| (*id, (*share).clone(), Offset::default())).collect();
+    }
+    let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
+    let on_map = moved(&cells, offsets).into_iter().map(|(id, cells)| {
+        let mut share = evidence::Share::of_hits(cells);
+        if let Ok(before) = shares.binary_search_by_key(&id, |(id, _)| *id) {
+            share.observed = share.observed.union(&shares[before].1.observed);
+        }
+        let centre = id.origin().map(|corner| corner + 0.5 * TILE_M);
+        (id, share, Offset::of(&offsets.at(centre)))
+    });
+    on_map.collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datum::Offset;
     use crate::geo::Zone;
     use proptest::prelude::*;
 

@@ -1,7 +1,7 @@
 //! How far an upload lies beside the map.
 
 use crate::datum::Offset;
-use crate::pose::Pose2;
+use crate::pose::{Pose2, weighted_mean};
 
 /// Distance at which a part of an upload counts half, metres.
 const REACH_M: f64 = 40.0;
@@ -45,25 +45,16 @@ impl Offsets {
     /// The offset at a place, map metres: how it shifts what is there, and how it turns it. Continuous.
     #[must_use]
     pub fn at(&self, [x, y]: [f64; 2]) -> Pose2 {
-        let (mut sum, mut weights) = ([0.0; 3], 0.0);
-        for part in &self.parts {
+        weighted_mean(self.parts.iter().map(|part| {
             let (dx, dy) = (x - part.middle[0], y - part.middle[1]);
             let squared = dx * dx + dy * dy;
             let nearness = 1.0 / (1.0 + squared / (REACH_M * REACH_M));
-            let weight = part.weight * nearness * nearness;
             let arm = ARM_M / squared.sqrt().max(ARM_M);
             let by = part.offset.pose();
             // Turns are small: less than a degree.
-            sum[0] += weight * (by.x_m - by.yaw_rad * dy * arm);
-            sum[1] += weight * (by.y_m + by.yaw_rad * dx * arm);
-            sum[2] += weight * by.yaw_rad;
-            weights += weight;
-        }
-        if weights > 0.0 {
-            Pose2::new(sum[0] / weights, sum[1] / weights, sum[2] / weights)
-        } else {
-            Pose2::IDENTITY
-        }
+            let (east, north) = (by.x_m - by.yaw_rad * dy * arm, by.y_m + by.yaw_rad * dx * arm);
+            (part.weight * nearness * nearness, Pose2::new(east, north, by.yaw_rad))
+        }))
     }
 }
 

@@ -12,7 +12,7 @@ use super::exclusion::Exclusion;
 use super::generation::Generation;
 use super::index::Index;
 use super::journal::{Journal, Written};
-use super::vetting::{self, Outcome, Quarantined, Vetting};
+use super::vetting::{Outcome, Quarantined, Vetting};
 use super::{Error, Upload};
 
 /// A map that keeps what was folded.
@@ -62,12 +62,10 @@ fn fold(
         Outcome::Counts(counts) => counts,
         Outcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
     };
-    for (zone, offsets) in counts {
-        for (id, share, offset) in vetting::moved(&upload.contribution, zone, &offsets) {
-            let folded = canvas.change(id, number)?;
-            folded.ledger.forget_before(upload.forget_before);
-            folded.tile.fold_moved(&mut folded.ledger, upload.pass, &share, offset);
-        }
+    for (id, share, offset) in counts {
+        let folded = canvas.change(id, number)?;
+        folded.ledger.forget_before(upload.forget_before);
+        folded.tile.fold_moved(&mut folded.ledger, upload.pass, &share, offset);
     }
     Ok(None)
 }

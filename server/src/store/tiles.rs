@@ -14,7 +14,6 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use echofix_core::evidence::support_block;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile;
 use siphasher::sip::SipHasher24;
@@ -167,12 +166,10 @@ impl Value {
     /// Of its cells those count that are served when `publish` contributors are asked for.
     pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
         let (key, encoded) = (key(id), tile::encode(&folded.tile));
-        let supported = |index: u32| folded.tile.support()[support_block(index)] >= publish;
-        let served = folded.tile.cells().iter().filter(|(index, _)| supported(*index)).count();
         let info = TileInfo {
             id,
             version: folded.version,
-            cells: served as u32,
+            cells: folded.tile.supported(publish).count() as u32,
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
         };

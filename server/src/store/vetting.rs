@@ -9,7 +9,7 @@ use echofix_core::datum::{Datum, Offset};
 use echofix_core::evidence::{Contribution, Share};
 use echofix_core::geo::{TILE_M, TileId, Zone};
 use echofix_core::vetting::alarm::Quarantined as Entry;
-use echofix_core::vetting::{self, Limits, MapSide, Offsets, Reason, Vetted, Vetter};
+use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Vetted, Vetter, moved_shares, told_by_others};
 
 use super::canvas::{Canvas, Folded};
 use super::{Error, Upload};
@@ -31,8 +31,8 @@ pub struct Quarantined {
 
 /// What becomes of an upload.
 pub(super) enum Outcome {
-    /// It counts: moved by these offsets, zone by zone.
-    Counts(Vec<(Zone, Offsets)>),
+    /// It counts: its shares, moved onto the map, each with what moved it at its tile's centre.
+    Counts(Vec<(TileId, Share, Offset)>),
     /// It does not.
     Quarantined(Quarantined),
 }
@@ -59,7 +59,8 @@ impl Vetting {
     ) -> Result<Outcome, Error> {
         let zones = by_zone(&upload.contribution);
         let Some(limits) = self.limits else {
-            return Ok(Outcome::Counts(zones.into_keys().map(|zone| (zone, Offsets::default())).collect()));
+            let as_it_came = zones.values().flat_map(|shares| moved_shares(shares, &Offsets::default()));
+            return Ok(Outcome::Counts(as_it_came.collect()));
         };
         let mut counts = Vec::new();
         for (zone, shares) in zones {
@@ -74,7 +75,9 @@ impl Vetting {
                 return Err(error);
             }
             match vetted {
-                Vetted::Agrees(offsets) | Vetted::New(offsets) => counts.push((zone, offsets)),
+                Vetted::Agrees(offsets) | Vetted::New(offsets) => {
+                    counts.extend(moved_shares(&shares, &offsets))
+                }
                 Vetted::Quarantined { reason, offset } => {
                     let (place, day) = (middle(&shares), upload.pass.day);
                     let upload = Entry { zone, place, offset, contributor, day };
@@ -84,29 +87,6 @@ impl Vetting {
         }
         Ok(Outcome::Counts(counts))
     }
-}
-
-/// A contribution's shares moved onto the map, each with what moved it at its tile's centre. What was in
-/// view is not moved: its blocks are coarser than any offset.
-pub(super) fn moved(
-    contribution: &Contribution,
-    zone: Zone,
-    offsets: &Offsets,
-) -> Vec<(TileId, Share, Offset)> {
-    let shares: Vec<_> = contribution.tiles.iter().filter(|(id, _)| id.zone == zone).collect();
-    if offsets.is_empty() {
-        return shares.into_iter().map(|(id, share)| (*id, share.clone(), Offset::default())).collect();
-    }
-    let cells: Vec<_> = shares.iter().map(|(id, share)| (**id, &share.cells[..])).collect();
-    let on_map = vetting::moved(&cells, offsets).into_iter().map(|(id, cells)| {
-        let mut share = Share::of_hits(cells);
-        if let Some(before) = contribution.tiles.get(&id) {
-            share.observed = share.observed.union(&before.observed);
-        }
-        let centre = id.origin().map(|corner| corner + 0.5 * TILE_M);
-        (id, share, Offset::of(&offsets.at(centre)))
-    });
-    on_map.collect()
 }
 
 fn by_zone(contribution: &Contribution) -> BTreeMap<Zone, Vec<(TileId, &Share)>> {
@@ -157,7 +137,8 @@ impl MapSide for Others<'_, '_> {
 
 impl Within<'_, '_> {
     fn weights(&mut self, id: TileId, contributor: u64) -> Result<Option<Arc<TileWeights>>, Error> {
-        if !told_by_others(self.canvas.get(id)?, contributor) {
+        let Folded { tile, ledger, .. } = self.canvas.get(id)?;
+        if !told_by_others(tile, ledger, contributor) {
             return Ok(None);
         }
         let near = id.with_neighbours();
@@ -180,11 +161,4 @@ impl Within<'_, '_> {
     fn noted<T>(&mut self, outcome: Result<T, Error>) -> Option<T> {
         outcome.map_err(|error| self.failed.get_or_insert(error)).ok()
     }
-}
-
-/// Did anybody but this contributor tell something of the tile? Passes that are no longer remembered by
-/// name are taken for others'.
-fn told_by_others(folded: &Folded, contributor: u64) -> bool {
-    let own = folded.ledger.iter().filter(|(pass, _)| pass.contributor == contributor).count();
-    !folded.tile.is_empty() && folded.tile.datum().passes as usize > own
 }

@@ -46,7 +46,11 @@ fn drives(city: &City, place: &'static str, seed: u64, contributors: usize) -> a
     Ok(Drives { place, name: format!("{place} {seed}"), mapping, localized })
 }
 
-fn drive(city: &City, day: u32, route: &Route, seed: u64) -> anyhow::Result<Drive> {
+/// A drive on a day, counted from the first; its odometry is left without errors.
+///
+/// # Errors
+/// When a parameter is out of range.
+pub fn drive(city: &City, day: u32, route: &Route, seed: u64) -> anyhow::Result<Drive> {
     let base = downtown::drive();
     let params = DriveParams {
         vehicle: format!("vehicle-{seed}"),

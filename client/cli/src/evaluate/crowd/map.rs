@@ -5,11 +5,11 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use echofix_core::align::weights::TileWeights;
-use echofix_core::datum::{Datum, Offset};
-use echofix_core::evidence::{Contribution, Share};
-use echofix_core::geo::{TILE_M, TileId, Zone};
+use echofix_core::datum::Datum;
+use echofix_core::evidence::Share;
+use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Decay, Ledger, Tile};
-use echofix_core::vetting::{self, Limits, MapSide, Offsets, Vetted, Vetter};
+use echofix_core::vetting::{Limits, MapSide, Offsets, Vetted, Vetter, moved_shares, told_by_others};
 
 use super::uploads::Upload;
 use crate::evaluate::map::{MapKey, RadarMap};
@@ -73,7 +73,8 @@ impl CrowdMap {
 impl Told {
     fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, Share)> {
         let mut folded = Vec::new();
-        for (id, share, offset) in moved(&upload.contribution, offsets) {
+        let shares: Vec<_> = upload.contribution.tiles.iter().map(|(id, share)| (*id, share)).collect();
+        for (id, share, offset) in moved_shares(&shares, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
             self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
             for near in id.with_neighbours() {
@@ -82,14 +83,6 @@ impl Told {
             folded.push((id, share));
         }
         folded
-    }
-
-    /// Did anybody but this contributor tell something of a tile? Passes that its ledger forgot are taken for
-    /// others'.
-    fn by_others(&self, id: TileId, contributor: u64) -> bool {
-        let (Some(tile), Some(ledger)) = (self.tiles.get(&id), self.ledgers.get(&id)) else { return false };
-        let own = ledger.iter().filter(|(pass, _)| pass.contributor == contributor).count();
-        !tile.is_empty() && tile.datum().passes as usize > own
     }
 }
 
@@ -101,32 +94,13 @@ struct Others<'a> {
 
 impl MapSide for Others<'_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
-        let Told { tiles, prepared, .. } = self.told;
+        let Told { tiles, ledgers, prepared } = self.told;
         let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
-        let told = self.told.by_others(id, self.contributor);
+        let told = told_by_others(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
         told.then(|| Arc::clone(prepared.borrow_mut().entry(id).or_insert_with(prepare)))
     }
 
     fn datum(&self, id: TileId) -> Datum {
         self.told.tiles.get(&id).map(Tile::datum).unwrap_or_default()
     }
-}
-
-/// A contribution's shares moved onto the map, each with what moved it at its tile's centre. What was in
-/// view is not moved: its blocks are coarser than any offset.
-fn moved(contribution: &Contribution, offsets: &Offsets) -> Vec<(TileId, Share, Offset)> {
-    let shares = &contribution.tiles;
-    if offsets.is_empty() {
-        return shares.iter().map(|(id, share)| (*id, share.clone(), Offset::default())).collect();
-    }
-    let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
-    let on_map = vetting::moved(&cells, offsets).into_iter().map(|(id, cells)| {
-        let mut share = Share::of_hits(cells);
-        if let Some(before) = shares.get(&id) {
-            share.observed = share.observed.union(&before.observed);
-        }
-        let centre = id.origin().map(|corner| corner + 0.5 * TILE_M);
-        (id, share, Offset::of(&offsets.at(centre)))
-    });
-    on_map.collect()
 }

@@ -1,9 +1,10 @@
 //! A small town, driven through on many days.
 
 use echofix_core::drive::Drive;
-use echofix_sim::{City, CityParams, DriveParams, OdometryModel, Route, downtown, simulate};
+use echofix_sim::{City, CityParams, Route, downtown};
 
 use crate::evaluate::map::DAY_US;
+use crate::evaluate::simulated;
 
 /// Length of an ordinary way through it, metres: a few minutes.
 const WAY_M: f64 = 900.0;
@@ -36,15 +37,7 @@ pub fn drive(city: &City, day: u32, way: Way, number: u64) -> anyhow::Result<Dri
         Way::Survey => Route::survey(city, seed),
         Way::Errand => Route::wander(city, seed, WAY_M),
     };
-    let base = downtown::drive();
-    let params = DriveParams {
-        vehicle: format!("vehicle-{number}"),
-        seed,
-        start_time_us: base.start_time_us + i64::from(day) * DAY_US,
-        odometry: OdometryModel::Perfect,
-        ..base
-    };
-    Ok(simulate(&city.on_day(day), &route, &params)?)
+    simulated::drive(city, day, &route, seed)
 }
 
 /// A day of the simulation, counted from the Unix epoch.
