@@ -103,14 +103,17 @@ async fn send(
 
 /// A tile as messages, each made when it is its turn.
 fn parts(id: TileId, tile: &StoredTile) -> impl Iterator<Item = Part> {
-    let encoded = &tile.encoded;
+    let encoded = tile.encoded();
     let first = TileData {
         version: Some(v1::TileVersion { tile: Some(tile_id(id)), version: tile.version }),
         encoded: encoded[..encoded.len().min(MAX_PIECE)].to_vec(),
         encoded_bytes: encoded.len() as u64,
     };
-    let rest = encoded.chunks(MAX_PIECE).skip(1);
-    iter::once(Part::Tile(first)).chain(rest.map(|piece| Part::Piece(TilePiece { encoded: piece.to_vec() })))
+    let rest = (1..encoded.len().div_ceil(MAX_PIECE)).map(move |number| {
+        let piece = encoded.chunks(MAX_PIECE).nth(number).unwrap_or_default();
+        Part::Piece(TilePiece { encoded: piece.to_vec() })
+    });
+    iter::once(Part::Tile(first)).chain(rest)
 }
 
 fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {

@@ -98,7 +98,8 @@ async fn described(app: &App, id: TileId) -> Result<Response, Error> {
 
 fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
     let nothing = || Error::NotFound(format!("nothing was ever seen in tile {id}"));
-    let StoredTile { version, tile, encoded } = store.tile(id)?.ok_or_else(nothing)?;
+    let stored = store.tile(id)?.ok_or_else(nothing)?;
+    let StoredTile { version, tile } = &stored;
     let corners = corners(&Grid::new(id.zone)?, [id.x, id.y], [id.x, id.y])?;
     let mut passes = BTreeMap::<u32, u32>::new();
     let (mut hits, mut oldest_day) = (0, u16::MAX);
@@ -121,7 +122,7 @@ fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
         "oldest_date": (!tile.is_empty()).then(|| iso_date(oldest_day)),
         "newest_day": tile.newest_day(),
         "newest_date": (!tile.is_empty()).then(|| iso_date(tile.newest_day())),
-        "bytes": encoded.len(),
+        "bytes": stored.encoded().len(),
         "corners": corners.map(|at| [at.lon_deg, at.lat_deg]),
     }))
 }

@@ -15,7 +15,7 @@ use echofix_core::align::Search;
 use echofix_core::align::verdict::Integrity;
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{TileId, Zone};
-use echofix_core::tile::{Tile, encode};
+use echofix_core::tile::Tile;
 use tempfile::TempDir;
 use tokio::sync::watch;
 use tower::ServiceExt;
@@ -77,8 +77,7 @@ impl FakeStore {
     }
 
     pub fn put(&self, id: TileId, tile: Tile) {
-        let encoded = Bytes::from(encode(&tile));
-        let stored = StoredTile { version: 1, tile: Arc::new(tile), encoded };
+        let stored = StoredTile { version: 1, tile: Arc::new(tile) };
         self.tiles.lock().unwrap().insert(id, stored);
     }
 
@@ -106,7 +105,7 @@ impl FakeStore {
             version: stored.version,
             cells: stored.tile.len() as u32,
             newest_day: stored.tile.newest_day(),
-            bytes: stored.encoded.len() as u32,
+            bytes: stored.encoded().len() as u32,
         };
         tiles.iter().map(info).collect()
     }

@@ -190,13 +190,9 @@ impl MapStore for EmbeddedStore {
             return Ok(None);
         }
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
-        let stored = generation.tiles.stored(id)?.ok_or_else(lost)?;
+        let (version, tile) = generation.tiles.stored(id)?.ok_or_else(lost)?;
         let today = generation.catalog().newest_day();
-        let served = self.shared.policy.served(&stored.tile, today);
-        Ok(Some(served.map_or(stored.clone(), |tile| {
-            let encoded = echofix_core::tile::encode(&tile).into();
-            StoredTile { version: stored.version, tile: tile.into(), encoded }
-        })))
+        Ok(Some(StoredTile { version, tile: self.shared.policy.served(tile, today).into() }))
     }
 
     fn catalog(

@@ -113,7 +113,8 @@ impl Generation {
         self.put(batch.drain(..), &[], base.last)
     }
 
-    /// Puts changed tiles in place, and notes of uploads that were kept out of them; the generation goes up to the record `folded` with them.
+    /// Puts changed tiles in place, and notes of uploads that were kept out of them; the generation goes up to
+    /// the record `folded` with them.
     pub(super) fn put(
         &self,
         changed: impl Iterator<Item = (TileId, Folded)>,

@@ -60,10 +60,9 @@ pub use vetting::Quarantined;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use bytes::Bytes;
 use echofix_core::evidence::{Contribution, Pass};
 use echofix_core::geo::{TileId, Zone};
-use echofix_core::tile::Tile;
+use echofix_core::tile::{self, Tile};
 use tokio::sync::watch;
 use uuid::Uuid;
 
@@ -147,12 +146,19 @@ pub enum Receipt {
 /// A tile as it is served.
 #[derive(Debug, Clone)]
 pub struct StoredTile {
-    /// Epoch of the tile's last change. A version stands for the same bytes for ever.
+    /// Epoch of the tile's last change. A version stands for the same evidence for ever; what is served of it
+    /// fades as the map's newest day moves on.
     pub version: u64,
     /// Its evidence.
     pub tile: Arc<Tile>,
-    /// The same in the codec of [`echofix_core::tile`].
-    pub encoded: Bytes,
+}
+
+impl StoredTile {
+    /// The tile in the codec of [`echofix_core::tile`]: made when it is asked for, since few readers want it.
+    #[must_use]
+    pub fn encoded(&self) -> Vec<u8> {
+        tile::encode(&self.tile)
+    }
 }
 
 /// What the catalog says about a tile.

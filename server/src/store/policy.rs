@@ -8,8 +8,8 @@ use echofix_core::vetting::Limits;
 pub struct Policy {
     /// Distinct contributors that must have seen something near a cell for it to be served.
     pub publish_contributors: u8,
-    /// How evidence that nobody confirms loses its worth; without, it keeps it. Days are counted back from the newest day of
-    /// the map: it needs no clock, and maps of recorded drives do not fade.
+    /// How evidence that nobody confirms loses its worth; without, it keeps it. Days are counted back from
+    /// the newest day of the map: it needs no clock, and maps of recorded drives do not fade.
     pub decay: Option<Decay>,
     /// How far an upload may be off the map that exists; without, everything counts.
     pub vetting: Option<Limits>,
@@ -22,10 +22,12 @@ impl Policy {
         Self { publish_contributors: 1, decay: None, vetting: None }
     }
 
-    /// The tile as it is served on a map whose newest day is `today`; `None` when all of it is.
-    pub(super) fn served(&self, tile: &Tile, today: u16) -> Option<Tile> {
-        let all = self.publish_contributors <= 1 && self.decay.is_none();
-        let decay = self.decay.unwrap_or_default();
-        (!all).then(|| tile.published(self.publish_contributors, self.decay.map(|_| today), &decay))
+    /// The tile as it is served on a map whose newest day is `today`.
+    pub(super) fn served(&self, tile: Tile, today: u16) -> Tile {
+        match self.decay {
+            None if self.publish_contributors <= 1 => tile,
+            None => tile.published(self.publish_contributors, None, &Decay::default()),
+            Some(decay) => tile.published(self.publish_contributors, Some(today), &decay),
+        }
     }
 }

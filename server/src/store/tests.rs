@@ -56,7 +56,7 @@ fn caught_up(store: &EmbeddedStore) {
 }
 
 /// Versions and bytes of all tiles.
-fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Bytes)> {
+fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     caught_up(store);
     let all = i32::MIN..=i32::MAX;
     let infos =
@@ -64,13 +64,13 @@ fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Bytes)> {
     let tiles = infos.map(|info| {
         let tile = store.tile(info.id).unwrap().unwrap();
         assert_eq!((info.version, info.cells as usize), (tile.version, tile.tile.len()));
-        (info.id, (tile.version, tile.encoded))
+        (info.id, (tile.version, tile.encoded()))
     });
     tiles.collect()
 }
 
 /// What the map must be.
-fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Bytes)> {
+fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     let mut tiles: BTreeMap<TileId, (u64, Tile, Ledger)> = BTreeMap::new();
     for (number, upload) in (1..).zip(uploads) {
         for (id, share) in &upload.contribution.tiles {
@@ -268,7 +268,7 @@ fn the_order_of_uploads_changes_versions_and_presence_only() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path());
         commit_all(&store, uploads);
-        let tile = |(id, (_, bytes)): (TileId, (u64, Bytes))| {
+        let tile = |(id, (_, bytes)): (TileId, (u64, Vec<u8>))| {
             let tile = tile::decode(&bytes).unwrap();
             let cells = tile.cells().iter().map(|(index, cell)| (*index, Cell { presence: 0, ..*cell }));
             (id, cells.collect::<Vec<_>>(), *tile.observed(), *tile.support())
@@ -311,7 +311,7 @@ fn nothing_is_answered_from_a_map_that_is_being_rebuilt() {
         match store.tile(*whole.keys().next().unwrap()) {
             Err(Error::Rebuilding { journaled: 400, .. }) => refusals += 1,
             Ok(Some(tile)) => {
-                assert_eq!(whole[whole.keys().next().unwrap()], (tile.version, tile.encoded));
+                assert_eq!(whole[whole.keys().next().unwrap()], (tile.version, tile.encoded()));
                 break;
             }
             other => panic!("{other:?}"),

@@ -13,9 +13,8 @@ use std::hash::Hasher;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use echofix_core::geo::{TileId, Zone};
-use echofix_core::tile;
+use echofix_core::tile::{self, Tile};
 use siphasher::sip::SipHasher24;
 use sled::IVec;
 use uuid::Uuid;
@@ -24,7 +23,7 @@ use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
 use super::quarantine;
 use super::vetting::Quarantined;
-use super::{Error, StoredTile, TileInfo};
+use super::{Error, TileInfo};
 
 /// Where the journal the tiles were folded from is named.
 const JOURNAL: &[u8] = b"journal";
@@ -84,13 +83,12 @@ impl Tiles {
         }
     }
 
-    /// The tile as it is served.
-    pub(super) fn stored(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
+    /// Version and evidence of a tile.
+    pub(super) fn stored(&self, id: TileId) -> Result<Option<(u64, Tile)>, Error> {
         let Some((key, value)) = self.value(id)? else { return Ok(None) };
         let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
         let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
-        let encoded = Bytes::copy_from_slice(value.tile);
-        Ok(Some(StoredTile { version: value.info.version, tile: tile.into(), encoded }))
+        Ok(Some((value.info.version, tile)))
     }
 
     /// Version and encoded bytes of a tile.

@@ -5,9 +5,9 @@ use super::controls::{by_cars, bytes, never_had};
 use super::*;
 
 /// The encoded tiles of a map of the past; those without any cell are as good as none.
-fn past(store: &EmbeddedStore, epoch: u64) -> BTreeMap<TileId, Bytes> {
+fn past(store: &EmbeddedStore, epoch: u64) -> BTreeMap<TileId, Vec<u8>> {
     let tiles = store.at(epoch).unwrap().tiles.into_iter();
-    tiles.map(|(id, tile)| (id, Bytes::from(tile::encode(&tile)))).collect()
+    tiles.map(|(id, tile)| (id, tile::encode(&tile))).collect()
 }
 
 #[test]
