@@ -79,7 +79,7 @@ fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
             *version = number;
         }
     }
-    tiles.into_iter().map(|(id, (version, tile, _))| (id, (version, tile::encode(&tile).into()))).collect()
+    tiles.into_iter().map(|(id, (version, tile, _))| (id, (version, tile::encode(&tile)))).collect()
 }
 
 proptest! {

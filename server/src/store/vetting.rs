@@ -76,7 +76,7 @@ impl Vetting {
             }
             match vetted {
                 Vetted::Agrees(offsets) | Vetted::New(offsets) => {
-                    counts.extend(moved_shares(&shares, &offsets))
+                    counts.extend(moved_shares(&shares, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
                     let (place, day) = (middle(&shares), upload.pass.day);
