@@ -4,7 +4,7 @@ use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::{TileData, TilePiece};
 
 use super::Error;
-use super::files::Name;
+use super::name::Name;
 
 /// Bytes of an encoded tile, at most: a full one stays below.
 const MAX_TILE: u64 = 16 << 20;

@@ -8,32 +8,9 @@ use std::time::SystemTime;
 use echofix_core::geo::{TileId, Zone};
 
 use super::index::Index;
+use super::name::Name;
 use super::{Error, io_error};
 use crate::disk;
-
-const ENDING: &str = "tile";
-
-/// A version of a tile, which names its file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Name {
-    pub(super) id: TileId,
-    pub(super) version: u64,
-}
-
-impl Name {
-    pub(super) fn path(self, dir: &Path) -> PathBuf {
-        let Self { id: TileId { zone, x, y }, version } = self;
-        dir.join(zone.epsg().to_string()).join(format!("{x}_{y}_{version}.{ENDING}"))
-    }
-
-    fn of(zone: Zone, path: &Path) -> Option<Self> {
-        let mut numbers = path.file_stem()?.to_str()?.split('_');
-        let (x, y) = (numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?);
-        let version = numbers.next()?.parse().ok()?;
-        let ours = numbers.next().is_none() && path.extension()? == ENDING;
-        ours.then_some(Self { id: TileId { zone, x, y }, version })
-    }
-}
 
 /// The tiles of a folder, in the order in which they were used last; removes what a crash left.
 pub(super) fn scan(dir: &Path) -> Result<Index, Error> {

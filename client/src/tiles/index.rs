@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use echofix_core::geo::TileId;
 
-use super::files::Name;
+use super::name::Name;
 
 /// The tiles of a cache. Times are counts of uses.
 #[derive(Debug, Default)]

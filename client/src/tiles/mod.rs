@@ -29,6 +29,7 @@
 mod assembly;
 mod files;
 mod index;
+mod name;
 mod sync;
 mod want;
 
@@ -42,8 +43,8 @@ use echofix_core::tile::{self, DecodeError, Tile};
 
 use crate::disk;
 use crate::refusal::CallError;
-use files::Name;
 use index::Index;
+use name::Name;
 
 pub use sync::Synced;
 pub use want::Want;

@@ -44,9 +44,13 @@ pub fn places(
             let (column, row) = (x as i32 as u32, y as i32 as u32);
             index[i] = row.wrapping_sub(lag).wrapping_mul(side).wrapping_add(column).wrapping_sub(lag);
         }
-        out.extend(
-            index[..count].iter().zip(&inside).filter(|(_, inside)| **inside).map(|(index, _)| *index),
-        );
+        // Where the next one goes depends on the last one, but no branch does.
+        let (mut kept, mut len) = ([0_u32; LANES], 0);
+        for (index, inside) in index[..count].iter().zip(&inside) {
+            kept[len % LANES] = *index;
+            len += usize::from(*inside);
+        }
+        out.extend_from_slice(&kept[..len]);
         if count < LANES {
             break;
         }
@@ -69,12 +73,17 @@ impl Once {
         if self.met.len() < words {
             self.met.resize(words, 0);
         }
-        places.retain(|place| {
-            let (word, bit) = (&mut self.met[*place as usize / 64], 1_u64 << (place % 64));
+        // Without a branch on what cannot be foreseen, which a closure of `Vec::retain` is.
+        let mut kept = 0;
+        for i in 0..places.len() {
+            let place = places[i];
+            let (word, bit) = (&mut self.met[place as usize / 64], 1_u64 << (place % 64));
             let first = *word & bit == 0;
             *word |= bit;
-            first
-        });
+            places[kept] = place;
+            kept += usize::from(first);
+        }
+        places.truncate(kept);
         for place in places.iter() {
             self.met[*place as usize / 64] = 0;
         }
