@@ -37,10 +37,11 @@ pub use correlation::{Correlation, Lattice};
 
 use crate::batch::Batch;
 use crate::pose::{Pose2, wrap_angle};
-use cells::places;
+use cells::Placing;
 use climb::DriftPrior;
 use image::MapImage;
 use raster::Raster;
+use simd::Isa;
 use verdict::Verdict;
 use view::Shown;
 
@@ -109,6 +110,7 @@ pub fn fast_global_align(
 ) -> Correlation {
     // fastGlobalAlign l. 1-2: D_m and its spectrum come with the map's image.
     let shown = Shown { frame: map.frame(), cells: 1, side: map.frame().side, image: &[] };
+    let placing = Placing { image: shown, prior, reach_m: search.extent_m, lag: lattice.lag };
     let offset = lattice.lag * shown.side + lattice.lag;
     let mut values = vec![0.0; lattice.headings() * lattice.plane()];
     // l. 8
@@ -117,7 +119,7 @@ pub fn fast_global_align(
         let turned = Pose2::new(0.0, 0.0, lattice.turn_rad(heading));
         // l. 3-5 and 10: the batch's points, turned by the hypothesis, become its occupancy grid.
         let points = batch.points.iter().copied();
-        places(&shown, prior, turned, points, search.extent_m, lattice.lag, &mut workspace.places);
+        placing.places(Isa::best(), turned, points, &mut workspace.places);
         workspace.raster.draw(shown.side, &workspace.places, offset, map.cell_values());
         // l. 11
         let image = workspace.raster.image();

@@ -7,10 +7,11 @@ pub const BLOCK_M: f32 = 0.4;
 /// Thins points to one, their mean, for each block of a square grid.
 #[derive(Default)]
 pub struct Thinner {
-    /// For each block a number and the pass that wrote it: what another pass wrote counts as nothing,
-    /// so that nothing has to be wiped.
-    blocks: Vec<(u32, u32)>,
-    pass: u32,
+    /// For each block a number above `before`; what an earlier pass wrote is not above it, so that
+    /// nothing has to be wiped.
+    blocks: Vec<u32>,
+    /// The highest number that earlier passes wrote.
+    before: u32,
     sums: Vec<[f32; 3]>,
 }
 
@@ -18,42 +19,47 @@ impl Thinner {
     /// Writes the means of the points in blocks of `block_m` into `out`: ground metres in the
     /// body's frame, and 1, the vote of each. Points farther than `reach_m` are left out.
     pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f32, block_m: f32, out: &mut Vec<[f32; 3]>) {
-        let grid = self.begin(reach_m, block_m);
+        let (grid, before) = self.begin(reach_m, block_m, points.len());
         self.sums.clear();
+        self.sums.resize(points.len(), [0.0; 3]);
+        let mut len = 0;
         for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
-            let slot = &mut self.blocks[grid.block(x, y)];
-            if slot.1 != self.pass {
-                *slot = (self.sums.len() as u32, self.pass);
-                self.sums.push([0.0; 3]);
-            }
-            let sum = &mut self.sums[slot.0 as usize];
+            let block = &mut self.blocks[grid.block(x, y)];
+            // Whether a block was met cannot be foreseen: no branch depends on it.
+            let first = *block <= before;
+            len += u32::from(first);
+            *block = if first { before + len } else { *block };
+            let sum = &mut self.sums[(*block - before - 1) as usize];
             *sum = [sum[0] + x, sum[1] + y, sum[2] + 1.0];
         }
+        self.before += len;
         out.clear();
-        out.extend(self.sums.iter().map(|[x, y, n]| [x / n, y / n, 1.0]));
+        out.extend(self.sums[..len as usize].iter().map(|[x, y, n]| [x / n, y / n, 1.0]));
     }
 
     /// Divides the vote of each block among the points in it. All must lie within `reach_m`.
     pub fn share_votes(&mut self, points: &mut [[f32; 3]], reach_m: f32, block_m: f32) {
-        let grid = self.begin(reach_m, block_m);
+        let (grid, before) = self.begin(reach_m, block_m, points.len());
         for [x, y, _] in points.iter() {
-            let slot = &mut self.blocks[grid.block(*x, *y)];
-            *slot = if slot.1 == self.pass { (slot.0 + 1, self.pass) } else { (1, self.pass) };
+            let block = &mut self.blocks[grid.block(*x, *y)];
+            *block = before.max(*block) + 1;
         }
-        for [x, y, vote] in points {
-            *vote = 1.0 / self.blocks[grid.block(*x, *y)].0 as f32;
+        for [x, y, vote] in points.iter_mut() {
+            *vote = 1.0 / (self.blocks[grid.block(*x, *y)] - before) as f32;
         }
+        self.before += points.len() as u32;
     }
 
-    fn begin(&mut self, reach_m: f32, block_m: f32) -> Grid {
+    /// The grid, and the highest number of earlier passes: so many more can be written above it.
+    fn begin(&mut self, reach_m: f32, block_m: f32, numbers: usize) -> (Grid, u32) {
         let grid = Grid::new(reach_m, block_m);
-        let (next, wrapped) = self.pass.overflowing_add(1);
-        if wrapped || self.blocks.len() != grid.blocks() {
+        let full = (u32::MAX - self.before) as usize <= numbers;
+        if full || self.blocks.len() != grid.blocks() {
             self.blocks.clear();
-            self.blocks.resize(grid.blocks(), (0, 0));
+            self.blocks.resize(grid.blocks(), 0);
+            self.before = 0;
         }
-        self.pass = next.max(1);
-        grid
+        (grid, self.before)
     }
 }
 
@@ -97,6 +103,30 @@ mod tests {
                 prop_assert!(out.iter().any(|q| (p[0] - q[0]).abs() <= 0.401 && (p[1] - q[1]).abs() <= 0.401));
             }
             prop_assert!(out.len() <= inside.count());
+        }
+    }
+
+    /// Catches numbers of an earlier pass that are taken for this one's.
+    #[test]
+    fn passes_do_not_disturb_each_other() {
+        let points: Vec<[f32; 2]> =
+            (0..500).map(|i| [(i * 7 % 90) as f32 * 0.1, (i % 60) as f32 * 0.1]).collect();
+        let thinned = |thinner: &mut Thinner, reach_m, block_m| {
+            let mut out = Vec::new();
+            thinner.thin(&points, reach_m, block_m, &mut out);
+            let mut shared: Vec<_> = points.iter().map(|[x, y]| [*x, *y, 1.0]).collect();
+            thinner.share_votes(&mut shared, 50.0, block_m);
+            let votes: f32 = shared.iter().map(|[_, _, vote]| vote).sum();
+            (out, votes.round() as usize)
+        };
+        let mut used = Thinner { before: u32::MAX - 1700, ..Thinner::default() };
+        used.blocks.resize(Grid::new(50.0, 0.4).blocks(), u32::MAX - 1700);
+        for (reach_m, block_m) in
+            [(50.0, 0.4), (50.0, 0.4), (50.0, 0.4), (5.0, 0.4), (50.0, 1.0), (50.0, 0.4)]
+        {
+            let fresh = thinned(&mut Thinner::default(), reach_m, block_m);
+            assert_eq!(thinned(&mut used, reach_m, block_m), fresh);
+            assert!(reach_m < 50.0 || fresh.0.len() == fresh.1, "a vote for each block");
         }
     }
 }

@@ -82,7 +82,7 @@ impl Engine for Bounded {
         // Those of a wider search are kept for the next one.
         self.occupied.resize_with(self.occupied.len().max(headings), Vec::new);
         for (heading, occupied) in self.occupied[..headings].iter_mut().enumerate() {
-            question.occupied(heading, &mut self.once, occupied);
+            question.occupied(self.isa, heading, &mut self.once, occupied);
         }
         let mut best = Best::default();
         if let Some(peak) = peaks.first() {

@@ -7,7 +7,6 @@
 use std::cmp::Reverse;
 
 use super::{Engine, Peak, Question};
-use crate::align::cells::places;
 use crate::align::simd::{Isa, Strips};
 use crate::align::view::Shown;
 use crate::geo::CELL_M;
@@ -90,7 +89,7 @@ impl Fast {
             let turn = turn * step as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
             let points = question.thinned.iter().step_by(stride).map(|[x, y, _]| [*x, *y]);
-            places(shown, question.prior, at, points, question.search.extent_m, lag, &mut self.places);
+            question.placing(*shown, lag).places(self.isa, at, points, &mut self.places);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
                 strips.add(self.isa, &self.places, &mut self.sums);
@@ -159,8 +158,7 @@ impl Fast {
         for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {
             let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * yaw_step);
             let points = question.thinned.iter().step_by(stride).map(|[x, y, _]| [*x, *y]);
-            let (prior, reach_m) = (question.prior, question.search.extent_m);
-            places(shown, prior, at, points, reach_m, around.pixels, &mut self.places);
+            question.placing(*shown, around.pixels).places(self.isa, at, points, &mut self.places);
             sums.fill([0; NARROW]);
             strips.add(self.isa, &self.places, &mut sums[..width]);
             for (row, sums) in sums[..width].iter().enumerate() {

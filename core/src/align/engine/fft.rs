@@ -8,6 +8,7 @@ use crate::align::cells::Once;
 use crate::align::correlation::Correlation;
 use crate::align::fft::Plans;
 use crate::align::image::MapImage;
+use crate::align::simd::Isa;
 use crate::align::view::Square;
 use crate::align::{Workspace, fast_global_align};
 
@@ -70,7 +71,7 @@ impl Fft {
         for (index, _) in correlation.values.iter().enumerate().filter(|(_, value)| **value >= high) {
             let heading = index / lattice.plane();
             if heading != drawn {
-                question.occupied(heading, &mut self.once, &mut self.occupied);
+                question.occupied(Isa::best(), heading, &mut self.once, &mut self.occupied);
                 drawn = heading;
             }
             let (row, column) = (index % lattice.plane() / lattice.width(), index % lattice.width());

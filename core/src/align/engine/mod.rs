@@ -19,9 +19,10 @@ pub use fast::Fast;
 pub use fft::Fft;
 pub use reference::Reference;
 
-use super::cells::{Once, places};
+use super::cells::{Once, Placing};
 use super::correlation::Lattice;
-use super::view::MapView;
+use super::simd::Isa;
+use super::view::{MapView, Shown};
 use super::{Prior, Search};
 use crate::batch::Batch;
 use crate::pose::Pose2;
@@ -66,11 +67,16 @@ pub trait Engine: Send {
 
 impl Question<'_> {
     /// The occupied cells of the batch under a heading: indices in the fine image, moved by the lag.
-    fn occupied(&self, heading: usize, once: &mut Once, out: &mut Vec<u32>) {
+    fn occupied(&self, isa: Isa, heading: usize, once: &mut Once, out: &mut Vec<u32>) {
         let at = Pose2::new(0.0, 0.0, self.lattice.turn_rad(heading));
-        let points = self.batch.points.iter().copied();
-        places(&self.view.fine(), self.prior, at, points, self.search.extent_m, self.lattice.lag, out);
+        let placing = self.placing(self.view.fine(), self.lattice.lag);
+        placing.places(isa, at, self.batch.points.iter().copied(), out);
         once.retain(out);
+    }
+
+    /// Of its points on one of the view's images.
+    fn placing<'b>(&'b self, image: Shown<'b>, lag: usize) -> Placing<'b> {
+        Placing { image, prior: self.prior, reach_m: self.search.extent_m, lag }
     }
 
     /// The sum of weights below cells that are shifted to a row and a column of the lattice.

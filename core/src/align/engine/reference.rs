@@ -6,6 +6,7 @@ use rustfft::num_complex::Complex64;
 use super::{Engine, Peak, Question};
 use crate::align::cells::Once;
 use crate::align::fft2::Fft2;
+use crate::align::simd::Isa;
 
 /// How the batch is turned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +46,7 @@ impl Reference {
     /// The batch under a heading, drawn about the array's origin: what lies south or west of the prior
     /// is drawn at the array's other end. Spectra turn about the origin and nothing else.
     fn draw(&mut self, question: &Question, heading: usize) -> Vec<Complex64> {
-        question.occupied(heading, &mut self.once, &mut self.occupied);
+        question.occupied(Isa::PLAIN, heading, &mut self.once, &mut self.occupied);
         let side = question.view.frame().side;
         let [px, py] = prior_cell(question);
         let lag = question.lattice.lag;
