@@ -1,8 +1,8 @@
 //! What a map cell knows, and what an upload tells it.
 //!
 //! - [`Cell`]: hits, who hit it and when, and how present it is.
-//! - [`Contribution`]: an upload's hits and what it had in view, by tile ([`Share`]); made by
-//!   [`contribute`] or, of several parts, by a [`Gathering`]; its bytes are in [`codec`].
+//! - [`Contribution`]: an upload's hits and what it had in view, by tile ([`Share`]); made by a
+//!   [`Gathering`]; its bytes are in [`codec`].
 //! - [`ViewBlocks`]: what was in view. [`presence`]: what that makes of a cell.
 //! - [`InverseSensorModel`]: the paper's.
 
@@ -19,13 +19,15 @@ pub use blocks::{
     SUPPORT_BLOCK_CELLS, SUPPORT_BLOCKS, VIEW_BLOCK_CELLS, VIEW_BLOCK_M, VIEW_BLOCKS, ViewBlocks,
     support_block, view_block,
 };
-pub use gathering::{Gathering, contribute};
+pub use gathering::Gathering;
 pub use sensor_model::InverseSensorModel;
 
 use crate::geo::TileId;
 
 /// Sub-cell steps along a cell's side: offsets are kept to 10 cm / 256.
 pub const OFFSET_STEPS: u32 = 256;
+/// Steps that vehicles tell of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
+pub const SENT_STEPS: u32 = 1;
 
 /// What a map cell knows. All but its presence is commutative: the same contributions give the same
 /// in whatever order they come.

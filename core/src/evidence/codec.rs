@@ -1,13 +1,14 @@
 //! The bytes of a contribution: what the journal keeps of an upload.
 //!
 //! ```text
-//! magic "EFC" | format version 1 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | head | zstd frame
+//! magic "EFC" | format version 2 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | head | zstd frame
 //! ```
 //!
 //! The head is readable without the cells: LEB128 varints of the detections, the number of tiles, and
 //! for each its EPSG code, x, y (zigzag) and number of cells; then the decoded length of the frame.
 //! The frame holds one column after the other, each over all tiles: runs of blocks in view (their number
-//! and lengths), the cells' indices as distances from the one before, hits, offset sums along x, along y.
+//! and lengths), the cells' indices as distances from the one before, hits, offset sums along x, along y:
+//! signed, from what they would be with all hits in the cell's middle.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +18,7 @@ use crate::sealed::{self, Kind};
 use crate::tile::{CELLS, DecodeError};
 use crate::varint::{Reader, Writer};
 
-const KIND: Kind = Kind { magic: *b"EFC", version: 1 };
+const KIND: Kind = Kind { magic: *b"EFC", version: 2 };
 /// Read and written once each, and many of them: speed matters more than the last bytes.
 const ZSTD_LEVEL: i32 = 1;
 
@@ -49,6 +50,11 @@ pub fn encode(contribution: &Contribution) -> Vec<u8> {
     KIND.seal(&out.bytes)
 }
 
+/// Offset sum of hits in the middle of their cell.
+fn middle(hits: u32) -> i64 {
+    i64::from(hits) * i64::from(OFFSET_STEPS / 2)
+}
+
 fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
     let mut out = Writer::default();
     for share in tiles.values() {
@@ -60,7 +66,7 @@ fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
     let cells = || tiles.values().flat_map(|share| &share.cells);
     out.put_all(cells().map(|cell| u64::from(cell.hits)));
     for axis in [0, 1] {
-        out.put_all(cells().map(|cell| u64::from(cell.offset_sum[axis])));
+        cells().for_each(|cell| out.put_signed(i64::from(cell.offset_sum[axis]) - middle(cell.hits)));
     }
     out.bytes
 }
@@ -75,7 +81,7 @@ pub fn decode_head(bytes: &[u8]) -> Result<Head, DecodeError> {
 }
 
 /// The contribution of its bytes; columns of more than `most` bytes are refused unread. A cell takes
-/// about 6 of them, and 21 at most.
+/// about 4 of them, and 21 at most.
 ///
 /// # Errors
 /// When the bytes are not a contribution's, are damaged, or break the format.
@@ -119,7 +125,8 @@ fn shares(tiles: &[(TileId, usize)], input: &mut Reader<'_>) -> Option<BTreeMap<
     for axis in [0, 1] {
         for cell in &mut cells {
             let most = u64::from(cell.hits) * u64::from(OFFSET_STEPS);
-            cell.offset_sum[axis] = input.get().filter(|sum| u64::from(*sum) <= most)?;
+            let sum = input.get_signed::<i64>()?.checked_add(middle(cell.hits))?;
+            cell.offset_sum[axis] = u32::try_from(sum).ok().filter(|sum| u64::from(*sum) <= most)?;
         }
     }
     input.finish()?;
@@ -212,7 +219,7 @@ mod tests {
 
     #[test]
     fn columns_longer_than_allowed_are_refused() {
-        let cells = (0..100).map(|index| CellHits { index, hits: 1, offset_sum: [3, 4] }).collect();
+        let cells = (0..100).map(|index| CellHits { index, hits: 1, offset_sum: [130, 126] }).collect();
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 1, x: 2 };
         let contribution = Contribution { tiles: [(id, Share::of_hits(cells))].into(), detections: 100 };
         let bytes = encode(&contribution);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::view::Views;
-use super::{CellHits, Contribution, OFFSET_STEPS, Share};
+use super::{CellHits, Contribution, OFFSET_STEPS, SENT_STEPS, Share};
 use crate::batch::{self, Dropped};
 use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
 use crate::odometry::Trajectory;
@@ -11,13 +11,28 @@ use crate::scan::{Gate, Mount, Scan};
 
 /// Gathers what an upload contributes, part by part: into how many parts a drive is cut, and in
 /// which order they come, does not matter.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Gathering {
     tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>>,
     views: Views,
+    steps: u32,
+}
+
+impl Default for Gathering {
+    fn default() -> Self {
+        Self::with_steps(SENT_STEPS)
+    }
 }
 
 impl Gathering {
+    /// One that keeps the place of a hit within its cell to so many steps along each side, at most
+    /// [`OFFSET_STEPS`]: its hits lie in the steps' middles.
+    #[must_use]
+    pub fn with_steps(steps: u32) -> Self {
+        let steps = steps.clamp(1, OFFSET_STEPS);
+        Self { tiles: BTreeMap::new(), views: Views::default(), steps }
+    }
+
     /// Places scans on the map of one zone: `poses` are body poses on the zone's grid and `scale` its
     /// point scale factor there. Returns the number of detections that were placed, and the others.
     ///
@@ -47,9 +62,11 @@ impl Gathering {
         let tile = TileId::of_cell(zone, cell);
         let first = tile.first_cell();
         let index = (cell.y - first.y) as u32 * CELLS_PER_TILE as u32 + (cell.x - first.x) as u32;
-        let steps = |value: f64, cell: i64| {
+        let steps = self.steps;
+        let offset = |value: f64, cell: i64| {
             let fraction = value / CELL_M - cell as f64;
-            ((fraction * f64::from(OFFSET_STEPS)) as u32).min(OFFSET_STEPS - 1)
+            let step = ((fraction * f64::from(steps)) as u32).min(steps - 1);
+            (2 * step + 1) * OFFSET_STEPS / (2 * steps)
         };
         let entry = self.tiles.entry(tile).or_default().entry(index).or_insert(CellHits {
             index,
@@ -57,8 +74,8 @@ impl Gathering {
             offset_sum: [0, 0],
         });
         entry.hits += 1;
-        entry.offset_sum[0] += steps(point[0], cell.x);
-        entry.offset_sum[1] += steps(point[1], cell.y);
+        entry.offset_sum[0] += offset(point[0], cell.x);
+        entry.offset_sum[1] += offset(point[1], cell.y);
     }
 
     /// Tiles in which something was hit so far.
@@ -80,23 +97,6 @@ impl Gathering {
     }
 }
 
-/// What scans of one zone contribute, see [`Gathering::add`].
-///
-/// # Errors
-/// When a scan names an unknown sensor.
-pub fn contribute(
-    zone: Zone,
-    scans: &[Scan],
-    mounts: &[Mount],
-    poses: &Trajectory,
-    scale: f64,
-    gate: &Gate,
-) -> Result<(Contribution, Dropped), batch::Error> {
-    let mut gathering = Gathering::default();
-    let (placed, dropped) = gathering.add(zone, scans, mounts, poses, scale, gate)?;
-    Ok((gathering.finish(placed), dropped))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,6 +108,14 @@ mod tests {
         Zone::from_epsg(32614).unwrap()
     }
 
+    /// What scans of one zone contribute, and what was left out.
+    fn contribute(scans: &[Scan], scale: f64) -> (Contribution, Dropped) {
+        let mut gathering = Gathering::default();
+        let (mounts, gate) = ([Mount::IDENTITY], Gate::default());
+        let (placed, dropped) = gathering.add(zone(), scans, &mounts, &eastward(), scale, &gate).unwrap();
+        (gathering.finish(placed), dropped)
+    }
+
     /// East at 10 m/s from (600000, 3300000), a pose every 100 ms.
     fn eastward() -> Trajectory {
         let pose = |i: i64| Pose2::new(600_000.0 + i as f64, 3_300_000.0, 0.0);
@@ -117,17 +125,18 @@ mod tests {
     proptest! {
         #[test]
         fn every_detection_lands_in_the_cell_below_it(
-            x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64,
+            x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64, steps in 1..=OFFSET_STEPS,
         ) {
-            let mut gathering = Gathering::default();
+            let mut gathering = Gathering::with_steps(steps);
             gathering.hit(zone(), [x, y]);
             let contribution = gathering.finish(1);
             let (id, share) = contribution.tiles.first_key_value().unwrap();
             let hit = share.cells[0];
             let ([x0, y0], [fx, fy]) = (id.origin(), hit.centroid());
             let (cx, cy) = (hit.index % 512, hit.index / 512);
-            prop_assert!((x0 + (f64::from(cx) + fx) * CELL_M - x).abs() < CELL_M / 256.0 + 1e-6);
-            prop_assert!((y0 + (f64::from(cy) + fy) * CELL_M - y).abs() < CELL_M / 256.0 + 1e-6);
+            let near_m = CELL_M * (0.5 / f64::from(steps) + 1.0 / f64::from(OFFSET_STEPS)) + 1e-6;
+            prop_assert!((x0 + (f64::from(cx) + fx) * CELL_M - x).abs() < near_m);
+            prop_assert!((y0 + (f64::from(cy) + fy) * CELL_M - y).abs() < near_m);
             prop_assert!(share.observed.contains(view_block(hit.index)));
         }
 
@@ -147,7 +156,7 @@ mod tests {
             };
             let scans: Vec<Scan> = (0..100).map(scan).collect();
             let (poses, mounts, gate) = (eastward(), [Mount::IDENTITY], Gate::default());
-            let (whole, _) = contribute(zone(), &scans, &mounts, &poses, 1.0, &gate).unwrap();
+            let (whole, _) = contribute(&scans, 1.0);
             let mut gathering = Gathering::default();
             let (early, late) = scans.split_at(cut as usize);
             for part in [late, early] {
@@ -166,8 +175,7 @@ mod tests {
             azimuth_rad: vec![0.0; 3],
             ..Scan::default()
         };
-        let (contribution, dropped) =
-            contribute(zone(), &[scan], &[Mount::IDENTITY], &eastward(), 0.9996, &Gate::default()).unwrap();
+        let (contribution, dropped) = contribute(&[scan], 0.9996);
         assert_eq!((contribution.detections, dropped.too_far), (2, 1));
         let (id, share) = contribution.tiles.first_key_value().unwrap();
         assert_eq!((share.cells.len(), share.cells[0].hits, share.detections()), (1, 2, 2));
@@ -185,8 +193,7 @@ mod tests {
             Scan { time_us: i * 100_000, range_m, azimuth_rad, ..Scan::default() }
         };
         let scans: Vec<Scan> = (0..100).map(scan).collect();
-        let (contribution, _) =
-            contribute(zone(), &scans, &[Mount::IDENTITY], &eastward(), 1.0, &Gate::default()).unwrap();
+        let (contribution, _) = contribute(&scans, 1.0);
         let in_view = |point: [f64; 2]| {
             let (id, cell) = (TileId::of(zone(), point), CellIndex::of(point));
             let (x, y) = (cell.x - id.first_cell().x, cell.y - id.first_cell().y);

@@ -5,16 +5,10 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 
 use super::embedded::EmbeddedStore;
+use super::journal::Part;
 use super::{Error, io_error};
 
 const BLOCK: usize = 512;
-
-/// A file to copy: its name in the archive, and how many bytes of it.
-pub(super) struct Part {
-    pub(super) name: String,
-    pub(super) file: File,
-    pub(super) length: u64,
-}
 
 impl EmbeddedStore {
     pub(super) fn write_backup(&self, out: &mut dyn Write) -> Result<u64, Error> {

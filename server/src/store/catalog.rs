@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use echofix_core::geo::{TileId, Zone};
 
-use super::tiles::stamp;
+use super::key::stamp;
 use super::{TileInfo, Totals};
 
 /// The tiles, in order of their ids.

@@ -2,7 +2,6 @@
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
@@ -13,31 +12,18 @@ use uuid::Uuid;
 
 use super::base::Base;
 use super::data_dir::DataDir;
-use super::entry::{self, Action, Control, Note};
+use super::entry::{self, Action, Control, Kind, Note};
 use super::fold::unreadable;
 use super::folder::{self, Folder};
 use super::generation::Generation;
-use super::index::{Claim, Index, Kind};
+use super::index::{Claim, Index};
 use super::journal::{Journal, Written};
 use super::manifest::Manifest;
 use super::shared::Shared;
 use super::{
-    Error, Event, Imported, MapStore, Operations, Policy, Progress, Quarantined, Receipt, Region, Snapshot,
+    Error, Event, Imported, MapStore, Operations, Options, Progress, Quarantined, Receipt, Region, Snapshot,
     State, StoredTile, TileInfo, Totals, Upload, Verified, build, clock, io_error,
 };
-
-/// Where and how an [`EmbeddedStore`] keeps its data.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// The data directory; made if missing.
-    pub data_dir: PathBuf,
-    /// Memory for sled's cache, bytes; twice that while a new generation of tiles is made.
-    pub cache_bytes: u64,
-    /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
-    pub segment_bytes: u64,
-    /// What counts and what is served. Another policy than before needs a rebuild: delete the manifest.
-    pub policy: Policy,
-}
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
 pub struct EmbeddedStore {

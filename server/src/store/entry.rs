@@ -48,6 +48,14 @@ pub(super) enum What {
     Control(Control),
 }
 
+/// What of a [`What`] is kept for every record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Upload { contributor: u64 },
+    Import { file: Uuid },
+    Control,
+}
+
 /// A decision about the records before it. Applying one takes a new generation of tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Control {

@@ -4,8 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use uuid::Uuid;
 
-use super::entry::Action;
-use super::index::Kind;
+use super::entry::{Action, Kind};
 
 /// The records that some controls exclude. A control speaks about earlier records only: what a revoked
 /// contributor sends later counts.

@@ -1,8 +1,6 @@
 //! Journal to tiles: one way for records that just came, for those a crash left over, for a new
 //! generation of tiles, and for a map of the past.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-
 use echofix_core::geo::TileId;
 use echofix_core::tile;
 
@@ -135,29 +133,8 @@ pub(super) fn replay(
     Ok(folded)
 }
 
-/// The outcome of work that may panic, as sled does on some damaged files. What it left in memory must
-/// not be used.
-pub(super) fn caught<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, String> {
-    match catch_unwind(AssertUnwindSafe(work)) {
-        Ok(outcome) => outcome.map_err(|error| error.to_string()),
-        Err(_) => Err("it panicked".to_owned()),
-    }
-}
-
 /// A record whose checksum matches but whose content does not follow the format.
 pub(super) fn unreadable(number: u64) -> Error {
     let reason = "its content does not follow the format; a newer version may have written it".to_owned();
     Error::Damaged { what: format!("journal record {number}"), reason }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_panic_is_a_failure_like_any_other() {
-        assert_eq!(caught(|| Ok(7)), Ok(7));
-        assert!(caught::<()>(|| Err(unreadable(3))).unwrap_err().contains("record 3"));
-        assert_eq!(caught::<()>(|| panic!("a damaged page")), Err("it panicked".to_owned()));
-    }
 }

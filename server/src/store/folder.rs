@@ -4,8 +4,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::attempt::caught;
 use super::build::{self, Built};
-use super::fold::{caught, fold_group};
+use super::fold::fold_group;
 use super::generation::Generation;
 use super::index::Next;
 use super::journal::Written;

@@ -11,10 +11,10 @@ use echofix_core::geo::TileId;
 use echofix_core::tile;
 use uuid::Uuid;
 
+use super::attempt::caught;
 use super::base::Base;
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
-use super::fold::caught;
 use super::tiles::{Tiles, Value};
 use super::vetting::Quarantined;
 use super::{Error, io_error};

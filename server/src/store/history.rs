@@ -9,9 +9,8 @@ use uuid::Uuid;
 use super::Error;
 use super::canvas::{Folded, InMemory};
 use super::embedded::EmbeddedStore;
-use super::entry::Action;
+use super::entry::{Action, Kind};
 use super::fold::{Records, replay};
-use super::index::Kind;
 use super::vetting::Vetting;
 
 /// Something that happened to the map, newest epochs first.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use echofix_core::geo::TileId;
 use uuid::Uuid;
 
-use super::entry::{Action, Control, Note, What};
+use super::entry::{Action, Control, Kind, Note, What};
 use super::exclusion::Exclusion;
 use super::journal::{Position, Written};
 
@@ -46,14 +46,6 @@ pub(super) struct Noted {
     /// UTC day it was written on.
     pub(super) day: u16,
     pub(super) kind: Kind,
-}
-
-/// What of a [`What`] is kept for every record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    Upload { contributor: u64 },
-    Import { file: Uuid },
-    Control,
 }
 
 /// What folding does next.

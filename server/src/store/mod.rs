@@ -7,7 +7,7 @@
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
-//!   lock, key), `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
+//!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
 //!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
 //!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
@@ -16,6 +16,7 @@
 //! Every state of the map is a function of the base and the journal's records up to the epoch, without what
 //! the controls among them exclude. Generations of tiles are that function's values, kept.
 
+mod attempt;
 mod backup;
 mod base;
 mod build;
@@ -33,8 +34,10 @@ mod generation;
 mod history;
 mod index;
 mod journal;
+mod key;
 mod manifest;
 mod operations;
+mod options;
 mod policy;
 mod quarantine;
 mod record;
@@ -49,9 +52,10 @@ mod tiles;
 mod verify;
 mod vetting;
 
-pub use embedded::{EmbeddedStore, Options};
+pub use embedded::EmbeddedStore;
 pub use history::{Decision, Event, Snapshot, TileDiff, What};
 pub use operations::Operations;
+pub use options::Options;
 pub use policy::Policy;
 pub use region::{Imported, Region};
 pub use verify::Verified;

@@ -11,7 +11,8 @@ use super::data_dir::DataDir;
 use super::generation::Generation;
 use super::index::Index;
 use super::journal::Journal;
-use super::{Error, Options, Policy, Progress, State};
+use super::options::Options;
+use super::{Error, Policy, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {

@@ -3,24 +3,23 @@
 //! kept from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
-//! key    EPSG code (2) | y (4) | x (4), big-endian, signs flipped: neighbours sit together
+//! key    see [`super::key`]
 //! value  CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
 //! a quarantined upload: see [`super::quarantine`]
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
-use std::hash::Hasher;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use echofix_core::geo::{TileId, Zone};
+use echofix_core::geo::TileId;
 use echofix_core::tile::{self, Tile};
-use siphasher::sip::SipHasher24;
 use sled::IVec;
 use uuid::Uuid;
 
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
+use super::key::{KEY, id, key};
 use super::quarantine;
 use super::vetting::Quarantined;
 use super::{Error, TileInfo};
@@ -29,7 +28,6 @@ use super::{Error, TileInfo};
 const JOURNAL: &[u8] = b"journal";
 /// Where it is kept how far the tiles go.
 const STATE: &[u8] = b"state";
-const KEY: usize = 10;
 const HEAD: usize = 22;
 /// Size of a segment of sled's log. A node of more than a quarter of it is written to a file of its own, which sled
 /// does not remove when the node changes: with its usual 512 KiB, tiles of more than 128 kB leave one behind each time
@@ -200,14 +198,6 @@ fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
     (state(folded, digest) == bytes).then_some((folded, digest))
 }
 
-/// What a tile's version adds to the digest of all.
-pub(super) fn stamp(info: &TileInfo) -> u64 {
-    let mut hasher = SipHasher24::new();
-    hasher.write(&key(info.id));
-    hasher.write_u64(info.version);
-    hasher.finish()
-}
-
 /// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
 /// threads end a little later. No other process has it, see [`super::data_dir`].
 fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
@@ -253,41 +243,18 @@ fn checksum(key: &[u8], value: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(key), &value[4..])
 }
 
-fn key(id: TileId) -> [u8; KEY] {
-    let ordered = |value: i32| (value as u32 ^ 1 << 31).to_be_bytes();
-    let mut key = [0; KEY];
-    key[..2].copy_from_slice(&id.zone.epsg().to_be_bytes());
-    key[2..6].copy_from_slice(&ordered(id.y));
-    key[6..].copy_from_slice(&ordered(id.x));
-    key
-}
-
-fn id(key: &[u8]) -> Option<TileId> {
-    let key: &[u8; KEY] = key.try_into().ok()?;
-    let [e0, e1, y0, y1, y2, y3, x0, x1, x2, x3] = *key;
-    let unordered = |bytes: [u8; 4]| (u32::from_be_bytes(bytes) ^ 1 << 31) as i32;
-    let zone = Zone::from_epsg(u32::from(u16::from_be_bytes([e0, e1]))).ok()?;
-    Some(TileId { zone, y: unordered([y0, y1, y2, y3]), x: unordered([x0, x1, x2, x3]) })
-}
-
 fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
     Error::Damaged { what: format!("tile {id}"), reason: reason.to_string() }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::key::stamp;
     use super::*;
+    use echofix_core::geo::Zone;
     use proptest::prelude::*;
 
     proptest! {
-        #[test]
-        fn keys_sort_as_ids_do(a: (i32, i32), b: (i32, i32), south: bool) {
-            let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
-            let (a, b) = (TileId { zone, y: a.0, x: a.1 }, TileId { zone, y: b.0, x: b.1 });
-            prop_assert_eq!(key(a).cmp(&key(b)), a.cmp(&b));
-            prop_assert_eq!(id(&key(a)), Some(a));
-        }
-
         #[test]
         fn a_changed_bit_of_a_value_is_noticed(at: prop::sample::Index, bit in 0..8_u8, of_state: bool) {
             let dir = tempfile::tempdir().unwrap();

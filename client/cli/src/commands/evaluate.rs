@@ -6,13 +6,13 @@ use anyhow::{Context, bail};
 
 use crate::evaluate::about::{About, page, part};
 use crate::evaluate::condition::{Condition, Experiment};
-use crate::evaluate::crowd::Scale;
+use crate::evaluate::crowd::{Scale, Told};
 use crate::evaluate::method::{Name, Windows};
 use crate::evaluate::record::Record;
 use crate::evaluate::run::{Plan, run as ask_all};
-use crate::evaluate::sections::Section;
+use crate::evaluate::section::Section;
 use crate::evaluate::worlds::Places;
-use crate::evaluate::{crowd, sanity, summary};
+use crate::evaluate::{crowd, sanity, sections, summary};
 use crate::{progress, report};
 
 /// Arguments of `echofix evaluate`.
@@ -102,14 +102,16 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     if let Some(path) = &args.epochs {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
-    let sections = experiments.iter().map(|e| Section::of(*e, &rows, &plan, &crowds));
+    let sections = experiments.iter().map(|e| sections::section(*e, &rows, &plan, &crowds));
+    let (own, lines): (Vec<_>, Vec<_>) = own.into_iter().map(|told| (told.section, told.lines)).unzip();
+    let lines: Vec<_> = own.iter().map(|section| section.experiment).zip(lines).collect();
     let sections: Vec<Section> = sections.chain(own).collect();
     let about = About::of(&places, &plan, &rows);
     if let Some(folder) = &args.write {
         write_report(folder, &about, &sections)?;
     }
     if json {
-        println!("{}", summary::of(&rows, &experiments, plan.base, &crowds));
+        println!("{}", summary::of(&rows, &experiments, plan.base, &crowds, lines));
     } else {
         println!("{}", page(&about, &sections));
     }
@@ -119,10 +121,10 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Section>> {
+fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Told>> {
     let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
-    let sections = experiments.iter().map(|experiment| crowd::section(*experiment, &scale));
-    Ok(sections.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+    let told = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
+    Ok(told.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
 }
 
 fn experiments(args: &Args) -> Vec<Experiment> {

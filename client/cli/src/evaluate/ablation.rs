@@ -3,7 +3,7 @@
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
 use super::record::Record;
-use super::sections::{Section, under};
+use super::section::{Section, under};
 use super::tables;
 
 const WORDS: &str = "### What each step is worth

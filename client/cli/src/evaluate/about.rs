@@ -2,7 +2,7 @@
 
 use super::record::Record;
 use super::run::Plan;
-use super::sections::Section;
+use super::section::Section;
 use super::worlds::Places;
 use crate::machine::Machine;
 

@@ -44,6 +44,11 @@ pub fn figures(rows: &[&Record], quantity: Quantity) -> Vec<Estimate> {
     percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &SHARES)
 }
 
+/// How one figure compares with another, with its interval.
+pub fn ratio(estimate: &Estimate) -> String {
+    format!("{:.3}{}", estimate.value, bounds(estimate, 1.0, 3))
+}
+
 /// `50 / 95 / 99` percentiles, the 95 % with its interval.
 pub fn cell(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
     match figures(rows, quantity).as_slice() {

@@ -101,6 +101,8 @@ pub enum Experiment {
     Vetting,
     /// Bytes of an upload against accuracy.
     Upload,
+    /// What several must have seen for it to be served.
+    Support,
 }
 
 impl Experiment {
@@ -117,7 +119,8 @@ impl Experiment {
     ];
 
     /// Those with towns and maps of their own, made only when they are asked for.
-    pub const OF_THE_CROWD: [Self; 4] = [Self::Year, Self::Attacks, Self::Vetting, Self::Upload];
+    pub const OF_THE_CROWD: [Self; 5] =
+        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support];
 
     /// Its name in a word.
     pub fn word(self) -> &'static str {
@@ -134,6 +137,7 @@ impl Experiment {
             Self::Attacks => "attacks",
             Self::Vetting => "vetting",
             Self::Upload => "upload",
+            Self::Support => "support",
         }
     }
 
@@ -159,7 +163,7 @@ impl Experiment {
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),
-            Self::Year | Self::Attacks | Self::Vetting | Self::Upload => Vec::new(),
+            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => Vec::new(),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use super::condition::{Condition, Experiment};
 use super::method::Name;
 use super::record::Record;
-use super::sections::Section;
+use super::section::Section;
 use crate::statistics::Percentiles;
 
 /// Answers this near each other came from one hill, metres.

@@ -7,8 +7,8 @@
 //! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
 //! - [`localizability`]: what the map alone expects of a fix, and what came of it.
 //! - [`statistics`]: percentiles, intervals, curves.
-//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`sections`]: the report,
-//!   experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
+//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`section`]: a part of the report;
+//!   [`sections`]: all of them, experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
 //! - [`crowd`]: experiments with towns, vehicles and maps of their own: a year, attacks, uploads.
 //! - [`about`]: how the figures came about; [`summary`]: figures for machines.
 //! - [`sanity`]: what any run must come out as.
@@ -30,6 +30,7 @@ pub mod plots;
 pub mod record;
 pub mod run;
 pub mod sanity;
+pub mod section;
 pub mod sections;
 pub mod simulated;
 pub mod statistics;

@@ -1,90 +1,39 @@
 //! The report, experiment by experiment: words, tables and figures.
 
-use std::path::Path;
-
 use echofix_core::align::verdict::Integrity;
 
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
 use super::method::{Name, RISK};
-use super::plots::{self, Curve, Panel};
+use super::plots::{Curve, Panel};
 use super::record::Record;
 use super::run::Plan;
+use super::section::{Figure, Section, under};
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
-use super::tables::{self, ALERT_M};
-use super::{ablation, misses};
+use super::tables;
+use super::{ablation, localizability, misses};
 
-/// A part of the report.
-pub struct Section {
-    /// Which experiment.
-    pub experiment: Experiment,
-    /// What is shown.
-    pub text: String,
-    /// File name and figure.
-    pub figures: Vec<(&'static str, Figure)>,
-    /// Where its figures come from, if not from the fixes that the sections share.
-    pub data: Option<String>,
-}
-
-/// What is drawn.
-pub enum Figure {
-    /// Panels of how often an error is exceeded.
-    Ccdfs(Vec<Panel>),
-    /// A title and detectors' curves.
-    Rocs(String, Vec<Curve>),
-    /// A title and (error, level) pairs.
-    Stanford(String, Vec<(f64, f64)>),
-    /// A title and errors over days.
-    Days(String, Vec<Curve>),
-}
-
-impl Section {
-    /// The section of an experiment.
-    pub fn of(experiment: Experiment, rows: &[Record], plan: &Plan, crowds: &[usize]) -> Self {
-        let base = plan.base;
-        let all: Vec<&Record> = rows.iter().collect();
-        let named = |names: &[Name]| -> Vec<&Record> {
-            let words: Vec<_> = names.iter().map(|name| name.word()).collect();
-            all.iter().copied().filter(|row| words.contains(&row.method)).collect()
-        };
-        let asked = named(&plan.methods);
-        match experiment {
-            Experiment::Headline => headline(&asked, base),
-            Experiment::Ambiguity => ambiguity(&asked, base),
-            Experiment::Localizability => {
-                let text = super::localizability::section(rows, &base);
-                Self { experiment, text, figures: Vec::new(), data: None }
-            }
-            Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
-            Experiment::Misses => misses::section(&all, base),
-            _ => swept(experiment, &asked, &experiment.conditions(base, crowds)),
+/// The section of an experiment.
+pub fn section(experiment: Experiment, rows: &[Record], plan: &Plan, crowds: &[usize]) -> Section {
+    let base = plan.base;
+    let all: Vec<&Record> = rows.iter().collect();
+    let named = |names: &[Name]| -> Vec<&Record> {
+        let words: Vec<_> = names.iter().map(|name| name.word()).collect();
+        all.iter().copied().filter(|row| words.contains(&row.method)).collect()
+    };
+    let asked = named(&plan.methods);
+    match experiment {
+        Experiment::Headline => headline(&asked, base),
+        Experiment::Ambiguity => ambiguity(&asked, base),
+        Experiment::Localizability => {
+            let text = localizability::section(rows, &base);
+            Section { experiment, text, figures: Vec::new(), data: None }
         }
+        Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
+        Experiment::Misses => misses::section(&all, base),
+        _ => swept(experiment, &asked, &experiment.conditions(base, crowds)),
     }
-
-    /// Writes the figures.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
-    pub fn draw(&self, folder: &Path) -> anyhow::Result<()> {
-        for (file, figure) in &self.figures {
-            let path = folder.join(file);
-            match figure {
-                Figure::Ccdfs(panels) => plots::ccdfs(&path, panels)?,
-                Figure::Rocs(title, curves) => plots::rocs(&path, title, curves)?,
-                Figure::Stanford(title, pairs) => plots::stanford(&path, title, pairs, ALERT_M)?,
-                Figure::Days(title, curves) => plots::days(&path, title, curves)?,
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Rows of a condition: of the town or log, not of the scenes.
-pub fn under<'a>(rows: &[&'a Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
-    let in_town = |r: &&&Record| !super::simulated::is_scene(r.place);
-    let asked = |r: &&&Record| r.condition == *condition && (!swept || r.swept);
-    rows.iter().filter(in_town).filter(asked).copied().collect()
 }
 
 fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {

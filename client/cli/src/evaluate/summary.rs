@@ -9,8 +9,14 @@ use super::record::Record;
 use super::simulated::is_scene;
 use crate::statistics::Percentiles;
 
-/// Figures by experiment, condition and method.
-pub fn of(rows: &[Record], experiments: &[Experiment], base: Condition, crowds: &[usize]) -> Value {
+/// Figures by experiment, condition and method; then the tables of the experiments that have towns of their own.
+pub fn of(
+    rows: &[Record],
+    experiments: &[Experiment],
+    base: Condition,
+    crowds: &[usize],
+    tables: Vec<(Experiment, Value)>,
+) -> Value {
     let mut all = Vec::new();
     for experiment in experiments {
         if *experiment == Experiment::Localizability {
@@ -36,6 +42,8 @@ pub fn of(rows: &[Record], experiments: &[Experiment], base: Condition, crowds: 
             }
         }
     }
+    let tables = tables.into_iter();
+    all.extend(tables.map(|(experiment, lines)| json!({ "experiment": experiment.word(), "lines": lines })));
     Value::Array(all)
 }
 
@@ -68,9 +76,11 @@ mod tests {
         let row =
             |method, place, along_m| Record { method, place, along_m, usable: true, ..Record::default() };
         let rows = [row("a", "town", 2.0), row("b", "town", 0.1), row("a", "tunnel", 3.0)];
-        let all = of(&rows, &[Experiment::Headline, Experiment::Ambiguity], base, &[1]);
+        let tables = vec![(Experiment::Upload, json!([1]))];
+        let all = of(&rows, &[Experiment::Headline, Experiment::Ambiguity], base, &[1], tables);
         let wrong: Vec<_> = (0..3).map(|k| all[k]["figures"]["wrong_usable"].as_u64().unwrap()).collect();
         assert_eq!(wrong, [1, 0, 1]);
         assert_eq!((&all[2]["experiment"], &all[2]["method"]), (&json!("ambiguity"), &json!("a")));
+        assert_eq!(all[3], json!({ "experiment": "upload", "lines": [1] }));
     }
 }

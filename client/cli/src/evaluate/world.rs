@@ -9,7 +9,7 @@ use echofix_core::odometry::Trajectory;
 use rayon::prelude::*;
 
 use super::crowd::map::CrowdMap;
-use super::crowd::uploads;
+use super::crowd::uploads::{self, Sending};
 use super::floor::Floor;
 use super::map::{MapKey, Movers, RadarMap, on_grid};
 
@@ -136,7 +136,9 @@ fn grown(
     for (before, drive) in drives.iter().take(most).enumerate() {
         let (contributor, count) = (before as u64, before + 1);
         if let Some(crowd) = &mut crowd {
-            for upload in uploads::cut(drive, map.zone(), contributor, max_sigma_m)? {
+            for upload in
+                uploads::cut(drive, map.zone(), Sending { max_sigma_m, ..Sending::of(contributor) })?
+            {
                 crowd.offer(&upload);
             }
         }

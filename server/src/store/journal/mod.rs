@@ -20,7 +20,6 @@ use std::thread::JoinHandle;
 
 use uuid::Uuid;
 
-use super::backup::Part;
 use super::entry::Note;
 use super::faults::{Fault, fault};
 use super::{Error, io_error};
@@ -44,6 +43,13 @@ pub(super) struct Written {
     /// 1 for the journal's first record.
     pub(super) number: u64,
     pub(super) at: Position,
+}
+
+/// A file to copy: its name in the archive, and how many bytes of it.
+pub(super) struct Part {
+    pub(super) name: String,
+    pub(super) file: File,
+    pub(super) length: u64,
 }
 
 /// The open journal. Dropping it finishes what was being written.

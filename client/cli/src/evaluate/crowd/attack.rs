@@ -9,10 +9,8 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
 use echofix_sim::City;
 
-use super::uploads::{Upload, cut, cut_wrong};
+use super::uploads::{Sending, Upload, cut, cut_wrong};
 
-/// What the service takes poses for known from, metres.
-const MAX_SIGMA_M: f64 = 0.3;
 /// Length of the wall that is made up, metres.
 const WALL_M: f64 = 20.0;
 /// Detections in each of its cells and uploads.
@@ -56,7 +54,7 @@ impl Attack {
     /// When scans and poses do not fit together.
     pub fn uploads(self, city: &City, drive: &Drive, contributor: u64) -> anyhow::Result<Vec<Upload>> {
         let zone = city.site().zone();
-        let honest = |drive: &Drive| cut(drive, zone, contributor, MAX_SIGMA_M);
+        let honest = |drive: &Drive| cut(drive, zone, Sending::of(contributor));
         match self {
             Self::None => honest(drive),
             Self::Wall => {
@@ -75,7 +73,7 @@ impl Attack {
             }
             Self::Shift(m) => {
                 let east = |_, _, pose: Pose2| Pose2 { x_m: pose.x_m + m, ..pose };
-                cut_wrong(drive, zone, contributor, MAX_SIGMA_M, east)
+                cut_wrong(drive, zone, Sending::of(contributor), east)
             }
             Self::Mount(rad) => {
                 let mut drive = drive.clone();

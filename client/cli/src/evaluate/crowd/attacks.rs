@@ -1,7 +1,6 @@
 //! What bad contributors reach among twenty.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 
 use echofix_core::agreement::PointIndex;
 use echofix_core::drive::Drive;
@@ -9,17 +8,18 @@ use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
 use echofix_core::tile::Tile;
 use echofix_sim::City;
 use rayon::prelude::*;
+use serde::Serialize;
 
-use super::Scale;
 use super::attack::Attack;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
+use super::{Scale, Told, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::Name;
 use crate::evaluate::record::Record;
-use crate::evaluate::sections::Section;
+use crate::evaluate::section::Section;
 
 /// Contributors that tell of a place before it is served.
 const LEAST: u8 = 3;
@@ -143,11 +143,11 @@ impl Outcome {
     }
 }
 
-/// The section.
+/// The experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn section(scale: &Scale) -> anyhow::Result<Section> {
+pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let (contributors, most) = if scale.quick { (8, 40) } else { (20, 150) };
     let towns = scale.towns(2);
     let mut all: Vec<Outcome> = TRIED.iter().map(|_| Outcome::default()).collect();
@@ -157,12 +157,14 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
         let tried: Vec<_> = tried.collect::<anyhow::Result<_>>()?;
         all.iter_mut().zip(tried).for_each(|(all, one)| all.join(one));
     }
-    Ok(Section {
+    let lines: Vec<_> = TRIED.iter().zip(&all).map(|(tried, outcome)| Line::of(*tried, outcome)).collect();
+    let section = Section {
         experiment: Experiment::Attacks,
-        text: format!("{}\n{}", words(contributors), table(&all)),
+        text: format!("{}\n{}", words(contributors), table(&COLUMNS, lines.iter().map(Line::cells))),
         figures: Vec::new(),
         data: Some(super::places(towns)),
-    })
+    };
+    Told::new(section, &lines)
 }
 
 fn words(contributors: u64) -> String {
@@ -177,33 +179,55 @@ same vehicles drive as often and do nothing bad.
     )
 }
 
-fn table(all: &[Outcome]) -> String {
-    let columns = [
-        "by",
-        "their uploads",
-        "quarantined",
-        "others' uploads",
-        "quarantined",
-        "made-up cells served",
-        "95 % of the errors, cm",
-        "wrong by > 1 m",
-        "usable",
-        "wrong, of the usable",
-    ];
-    let mut table = format!("| | {} |\n|{}\n", columns.join(" | "), "---|".repeat(columns.len() + 1));
-    for ((attack, count), Outcome { bad, good, phantoms, fixes }) in TRIED.iter().zip(all) {
-        let cells = Summary::of(fixes).cells();
-        let _ = writeln!(
-            table,
-            "| {} | {count} | {} | {} | {} | {} | {phantoms} | {cells} |",
-            attack.words(),
-            bad[0],
-            bad[1],
-            good[0],
-            good[1]
-        );
+const COLUMNS: [&str; 11] = [
+    "",
+    "by",
+    "their uploads",
+    "quarantined",
+    "others' uploads",
+    "quarantined",
+    "made-up cells served",
+    "95 % of the errors, cm",
+    "wrong by > 1 m",
+    "usable",
+    "wrong, of the usable",
+];
+
+/// A line of the table.
+#[derive(Serialize)]
+struct Line {
+    attack: String,
+    attackers: usize,
+    uploads: usize,
+    quarantined: usize,
+    others_uploads: usize,
+    others_quarantined: usize,
+    made_up_cells: usize,
+    #[serde(flatten)]
+    summary: Summary,
+}
+
+impl Line {
+    fn of((attack, attackers): (Attack, usize), outcome: &Outcome) -> Self {
+        let Outcome { bad: [uploads, quarantined], good, phantoms, fixes } = outcome;
+        Self {
+            attack: attack.words(),
+            attackers,
+            uploads: *uploads,
+            quarantined: *quarantined,
+            others_uploads: good[0],
+            others_quarantined: good[1],
+            made_up_cells: *phantoms,
+            summary: Summary::of(fixes),
+        }
     }
-    table
+
+    fn cells(&self) -> String {
+        let Self { attack, attackers, uploads, quarantined, .. } = self;
+        let Self { others_uploads, others_quarantined, made_up_cells, summary, .. } = self;
+        let counts = format!("{uploads} | {quarantined} | {others_uploads} | {others_quarantined}");
+        format!("{attack} | {attackers} | {counts} | {made_up_cells} | {}", summary.cells())
+    }
 }
 
 #[cfg(test)]

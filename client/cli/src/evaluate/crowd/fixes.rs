@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
+use serde::Serialize;
 
 use crate::evaluate::condition::Condition;
 use crate::evaluate::floor::Floor;
@@ -22,24 +23,10 @@ const WINDOWS_MIB: u64 = 256;
 /// # Errors
 /// When the drive has no known poses.
 pub fn fixes(map: &RadarMap, drive: &Drive, method: Name, most: usize) -> anyhow::Result<Vec<Record>> {
-    fixes_on_map_of(&[], map, drive, method, most)
-}
-
-/// The same on a map that was made, unmoved, from these drives: its own error is told, too.
-///
-/// # Errors
-/// When the drive has no known poses.
-pub fn fixes_on_map_of(
-    mapping: &[Drive],
-    map: &RadarMap,
-    drive: &Drive,
-    method: Name,
-    most: usize,
-) -> anyhow::Result<Vec<Record>> {
     let grid = grid_of(drive)?;
     let base = Condition { contributors: map.key.contributors, ..Condition::default() };
     let place = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
-    let floor = Floor::of(&grid, mapping)?;
+    let floor = Floor::of(&grid, &[])?;
     let world = World::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
     let plan = Plan {
         every_s: 1.0,
@@ -58,7 +45,7 @@ pub fn fixes_on_map_of(
 }
 
 /// What fixes amount to.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Summary {
     /// How many.
     pub fixes: usize,

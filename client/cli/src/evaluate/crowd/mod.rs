@@ -10,13 +10,19 @@ pub mod attacks;
 pub mod fixes;
 pub mod map;
 pub mod size;
+pub mod support;
 pub mod town;
 pub mod uploads;
 pub mod vetting;
 pub mod year;
 
+use std::fmt::Write as _;
+
+use serde::Serialize;
+use serde_json::Value;
+
 use super::condition::Experiment;
-use super::sections::Section;
+use super::section::Section;
 
 /// How much is simulated.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,16 +47,41 @@ fn places(towns: &[u64]) -> String {
     format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
 }
 
-/// The section of one of [`Experiment::OF_THE_CROWD`]; `None` for the others.
+/// A table: its first line, then a line for each of `rows`, whose cells are separated already.
+fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -> String {
+    let heads = columns.iter().map(AsRef::as_ref).collect::<Vec<_>>().join(" | ");
+    let mut table = format!("| {} |\n|{}\n", heads, "---|".repeat(heads.matches(" | ").count() + 1));
+    for row in rows {
+        let _ = writeln!(table, "| {row} |");
+    }
+    table
+}
+
+/// A part of the report, and the lines of its table for machines.
+pub struct Told {
+    /// For people.
+    pub section: Section,
+    /// For machines.
+    pub lines: Value,
+}
+
+impl Told {
+    fn new<T: Serialize>(section: Section, lines: &[T]) -> anyhow::Result<Self> {
+        Ok(Self { section, lines: serde_json::to_value(lines)? })
+    }
+}
+
+/// What comes of one of [`Experiment::OF_THE_CROWD`]; `None` for the others.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn section(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Section>> {
+pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Told>> {
     Ok(Some(match experiment {
-        Experiment::Year => year::section(scale)?,
-        Experiment::Attacks => attacks::section(scale)?,
-        Experiment::Vetting => vetting::section(scale)?,
-        Experiment::Upload => size::section(scale)?,
+        Experiment::Year => year::run(scale)?,
+        Experiment::Attacks => attacks::run(scale)?,
+        Experiment::Vetting => vetting::run(scale)?,
+        Experiment::Upload => size::run(scale)?,
+        Experiment::Support => support::run(scale)?,
         _ => return Ok(None),
     }))
 }

@@ -2,7 +2,7 @@
 
 use echofix_client::upload::Config;
 use echofix_core::drive::{Drive, GeoPose};
-use echofix_core::evidence::{Contribution, Pass, contribute};
+use echofix_core::evidence::{Contribution, Gathering, Pass, SENT_STEPS};
 use echofix_core::geo::{Grid, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -19,12 +19,30 @@ pub struct Upload {
     pub contribution: Contribution,
 }
 
-/// A drive's uploads in order, without movers, from the reference poses known to `max_sigma_m` or better.
+/// What a vehicle sends of its drives.
+#[derive(Debug, Clone, Copy)]
+pub struct Sending {
+    /// Its number.
+    pub contributor: u64,
+    /// Reference poses of a larger sigma are not mapped from, metres.
+    pub max_sigma_m: f64,
+    /// Steps of a cell to which the places of hits are told.
+    pub steps: u32,
+}
+
+impl Sending {
+    /// As the service asks for it.
+    pub fn of(contributor: u64) -> Self {
+        Self { contributor, max_sigma_m: 0.3, steps: SENT_STEPS }
+    }
+}
+
+/// A drive's uploads in order, without movers, from the reference poses.
 ///
 /// # Errors
 /// When its scans and poses do not fit together.
-pub fn cut(drive: &Drive, zone: Zone, contributor: u64, max_sigma_m: f64) -> anyhow::Result<Vec<Upload>> {
-    cut_wrong(drive, zone, contributor, max_sigma_m, |_, _, pose| pose)
+pub fn cut(drive: &Drive, zone: Zone, sending: Sending) -> anyhow::Result<Vec<Upload>> {
+    cut_wrong(drive, zone, sending, |_, _, pose| pose)
 }
 
 /// The same from poses that are made wrong: `wrong` gets an upload's number, the pose in its middle, and a pose.
@@ -34,20 +52,19 @@ pub fn cut(drive: &Drive, zone: Zone, contributor: u64, max_sigma_m: f64) -> any
 pub fn cut_wrong(
     drive: &Drive,
     zone: Zone,
-    contributor: u64,
-    max_sigma_m: f64,
+    sending: Sending,
     wrong: impl Fn(usize, Pose2, Pose2) -> Pose2,
 ) -> anyhow::Result<Vec<Upload>> {
     let grid = Grid::new(zone)?;
     let scans = gated(drive, Movers::Dropped);
     let mut uploads = Vec::new();
-    for poses in stretches(&drive.reference, max_sigma_m) {
+    for poses in stretches(&drive.reference, sending.max_sigma_m) {
         for part in parts(&grid, poses, &Config::default())? {
             let poses: Vec<_> = on_grid(&grid, part)?.iter().collect();
             let (number, middle) = (uploads.len(), poses[poses.len() / 2].1);
             let poses = poses.into_iter().map(|(time_us, pose)| (time_us, wrong(number, middle, pose)));
             let trajectory = Trajectory::new(poses)?;
-            uploads.extend(upload(&grid, drive, &scans, (part, &trajectory), contributor)?);
+            uploads.extend(upload(&grid, drive, &scans, (part, &trajectory), sending)?);
         }
     }
     Ok(uploads)
@@ -77,15 +94,17 @@ fn upload(
     drive: &Drive,
     scans: &[Scan],
     (poses, trajectory): (&[GeoPose], &Trajectory),
-    contributor: u64,
+    Sending { contributor, steps, .. }: Sending,
 ) -> anyhow::Result<Option<Upload>> {
     let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
     let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
     let scale = grid.scale_factor(poses[0].at)?;
     // Movers are gone already, and odometry told them better than absolute poses would.
     let gate = Movers::Kept.gate();
-    let (contribution, _) =
-        contribute(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
+    let mut gathering = Gathering::with_steps(steps);
+    let (placed, _) =
+        gathering.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
+    let contribution = gathering.finish(placed);
     let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US))?;
     Ok((contribution.detections > 0).then_some(Upload { pass: Pass { day, contributor }, contribution }))
 }

@@ -1,22 +1,21 @@
 //! Which uploads are kept out of the map: honest ones, and ones whose poses are wrong.
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
 use echofix_core::drive::Drive;
 use echofix_core::geo::Zone;
 use echofix_core::pose::Pose2;
 use echofix_core::vetting::Vetted;
 use rayon::prelude::*;
+use serde::Serialize;
 
-use super::Scale;
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Upload, cut, cut_wrong};
+use super::uploads::{Sending, Upload, cut, cut_wrong};
+use super::{Scale, Told, table};
 use crate::evaluate::condition::Experiment;
-use crate::evaluate::sections::Section;
+use crate::evaluate::section::Section;
 
-const MAX_SIGMA_M: f64 = 0.3;
 /// Contributors of the maps that uploads are held against.
 const CROWDS: [u64; 3] = [1, 3, 10];
 
@@ -69,7 +68,7 @@ impl Wrong {
     }
 
     fn uploads(self, drive: &Drive, zone: Zone, contributor: u64) -> anyhow::Result<Vec<Upload>> {
-        cut_wrong(drive, zone, contributor, MAX_SIGMA_M, |number, middle, pose| {
+        cut_wrong(drive, zone, Sending::of(contributor), |number, middle, pose| {
             self.pose(number, middle, pose)
         })
     }
@@ -97,7 +96,7 @@ fn counted(seed: u64) -> anyhow::Result<Vec<Vec<Counts>>> {
     let mut map = CrowdMap::new(zone);
     let mut all = Vec::new();
     for (drive, who) in mapping.iter().zip(0..) {
-        for upload in cut(drive, zone, who, MAX_SIGMA_M)? {
+        for upload in cut(drive, zone, Sending::of(who))? {
             map.offer(&upload);
         }
         if CROWDS.contains(&(who + 1)) {
@@ -125,33 +124,60 @@ Uploads of about 10 s held against maps of contributors that drove every street 
 uploads' own. In brackets those that met nothing to be held against.
 ";
 
-/// The section.
-///
-/// # Errors
-/// When a town or a drive cannot be simulated.
-pub fn section(scale: &Scale) -> anyhow::Result<Section> {
-    let towns = scale.towns(2);
-    let all: Vec<_> = towns.iter().map(|seed| counted(*seed)).collect::<anyhow::Result<_>>()?;
-    let columns = CROWDS.map(|count| format!("quarantined, map of {count}")).join(" | ");
-    let mut table = format!("| | uploads | {columns} |\n|{}\n", "---|".repeat(2 + CROWDS.len()));
-    for (which, wrong) in WRONGS.iter().enumerate() {
+/// A line of the table.
+#[derive(Serialize)]
+struct Line {
+    wrong: String,
+    uploads: usize,
+    crowds: [OfCrowd; CROWDS.len()],
+}
+
+/// What became of uploads on the map of one crowd.
+#[derive(Serialize)]
+struct OfCrowd {
+    contributors: u64,
+    quarantined: f64,
+    new: usize,
+}
+
+impl Line {
+    fn of(which: usize, all: &[Vec<Vec<Counts>>]) -> Self {
         let sums = [0, 1, 2].map(|crowd| {
             let of_town = |town: &Vec<Vec<Counts>>| town[crowd][which];
             all.iter().map(of_town).fold(Counts::default(), |a, b| [0, 1, 2].map(|k| a[k] + b[k]))
         });
-        let cells = sums.map(|[agree, new, out]| {
-            let share = 100.0 * out as f64 / (agree + new + out).max(1) as f64;
-            format!("{share:.1} % ({new})")
+        let crowds = [0, 1, 2].map(|crowd: usize| {
+            let [agree, new, out] = sums[crowd];
+            let quarantined = out as f64 / (agree + new + out).max(1) as f64;
+            OfCrowd { contributors: CROWDS[crowd], quarantined, new }
         });
-        let uploads: usize = sums[0].iter().sum();
-        let _ = writeln!(table, "| {} | {uploads} | {} |", wrong.words(), cells.join(" | "));
+        Self { wrong: WRONGS[which].words(), uploads: sums[0].iter().sum(), crowds }
     }
-    Ok(Section {
+
+    fn cells(&self) -> String {
+        let of = |crowd: &OfCrowd| format!("{:.1} % ({})", 100.0 * crowd.quarantined, crowd.new);
+        let crowds = self.crowds.iter().map(of).collect::<Vec<_>>().join(" | ");
+        format!("{} | {} | {crowds}", self.wrong, self.uploads)
+    }
+}
+
+/// The experiment.
+///
+/// # Errors
+/// When a town or a drive cannot be simulated.
+pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+    let towns = scale.towns(2);
+    let all: Vec<_> = towns.iter().map(|seed| counted(*seed)).collect::<anyhow::Result<_>>()?;
+    let lines: Vec<_> = (0..WRONGS.len()).map(|which| Line::of(which, &all)).collect();
+    let crowds = CROWDS.map(|count| format!("quarantined, map of {count}"));
+    let columns: Vec<_> = ["", "uploads"].into_iter().chain(crowds.iter().map(String::as_str)).collect();
+    let section = Section {
         experiment: Experiment::Vetting,
-        text: format!("{WORDS}\n{table}"),
+        text: format!("{WORDS}\n{}", table(&columns, lines.iter().map(Line::cells))),
         figures: Vec::new(),
         data: Some(super::places(towns)),
-    })
+    };
+    Told::new(section, &lines)
 }
 
 #[cfg(test)]

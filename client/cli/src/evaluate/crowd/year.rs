@@ -1,24 +1,23 @@
 //! How maps age over a year in which the town changes.
 
-use std::fmt::Write as _;
-
 use echofix_core::drive::Drive;
 use echofix_core::geo::Zone;
 use echofix_sim::City;
 use echofix_sim::city::{Change, Plot};
 use rayon::prelude::*;
+use serde::Serialize;
 
-use super::Scale;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads;
+use super::uploads::{self, Sending};
+use super::{Scale, Told, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::Name;
 use crate::evaluate::plots::Curve;
 use crate::evaluate::record::Record;
-use crate::evaluate::sections::{Figure, Section};
+use crate::evaluate::section::{Figure, Section};
 
 /// Vehicles that map.
 const CONTRIBUTORS: u64 = 5;
@@ -87,7 +86,7 @@ impl Maps {
         if day == 0 {
             self.first.join(&one);
         }
-        let uploads = uploads::cut(drive, self.crowd.zone(), contributor, MAX_SIGMA_M)?;
+        let uploads = uploads::cut(drive, self.crowd.zone(), Sending::of(contributor))?;
         let counted = uploads.iter().filter(|upload| self.crowd.offer(upload).is_some()).count();
         self.uploads[0] += uploads.len();
         self.uploads[1] += uploads.len() - counted;
@@ -142,11 +141,11 @@ fn year(seed: u64, calendar: &Calendar) -> anyhow::Result<(Days, [usize; 2])> {
 /// The maps by name.
 const NAMES: [&str; 3] = ["paper, map of day 0", "paper, everything added", "echofix"];
 
-/// The section.
+/// The experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn section(scale: &Scale) -> anyhow::Result<Section> {
+pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let calendar = Calendar::of(scale);
     let towns = scale.towns(2);
     let mut all: Days = Vec::new();
@@ -171,16 +170,18 @@ pub fn section(scale: &Scale) -> anyhow::Result<Section> {
     let curves = NAMES.iter().enumerate().map(curve).collect();
     let title = "95 % of the errors, on days of a year".to_owned();
     let figure = Figure::Days(title, curves);
-    Ok(Section {
+    let lines = lines(&all);
+    let section = Section {
         experiment: Experiment::Year,
         text: format!(
             "{}\n{}\n![A year](docs/evaluation/year.svg)\n",
             words(&calendar, uploads),
-            table(&all)
+            table(&columns(), lines.iter().map(Line::cells))
         ),
         figures: vec![("year.svg", figure)],
         data: Some(super::places(towns)),
-    })
+    };
+    Told::new(section, &lines)
 }
 
 fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
@@ -196,22 +197,37 @@ what the service serves of what at least three contributors told. Of {uploads} u
     )
 }
 
-fn table(all: &Days) -> String {
+fn columns() -> Vec<String> {
     let of_map = |name: &str| format!("{name}: 95 %, cm | wrong by > 1 m | usable | wrong, of the usable");
-    let mut table = format!(
-        "| day | fixes | {} |\n|{}\n",
-        NAMES.map(of_map).join(" | "),
-        "---|".repeat(2 + 4 * NAMES.len())
-    );
-    let mut line = |name: &str, rows: [&[Record]; 3]| {
-        let cells = rows.map(|rows| Summary::of(rows).cells()).join(" | ");
-        let _ = writeln!(table, "| {name} | {} | {cells} |", rows[0].len());
-    };
-    for (day, rows) in all {
-        line(&day.to_string(), rows.each_ref().map(Vec::as_slice));
+    ["day", "fixes"].map(str::to_owned).into_iter().chain(NAMES.map(of_map)).collect()
+}
+
+/// A line of the table.
+#[derive(Serialize)]
+struct Line {
+    /// A day, or all of them.
+    day: String,
+    /// By the map, in the order of the table.
+    maps: [(&'static str, Summary); NAMES.len()],
+}
+
+impl Line {
+    fn of(day: String, rows: [&[Record]; 3]) -> Self {
+        Self { day, maps: [0, 1, 2].map(|map: usize| (NAMES[map], Summary::of(rows[map]))) }
     }
+
+    fn cells(&self) -> String {
+        let [(_, first), ..] = &self.maps;
+        let cells = self.maps.each_ref().map(|(_, summary)| summary.cells()).join(" | ");
+        format!("{} | {} | {cells}", self.day, first.fixes)
+    }
+}
+
+fn lines(all: &Days) -> Vec<Line> {
+    let of_day =
+        |(day, rows): &(u32, [Vec<Record>; 3])| Line::of(day.to_string(), rows.each_ref().map(Vec::as_slice));
     let whole: [Vec<Record>; 3] =
         std::array::from_fn(|k| all.iter().flat_map(|(_, rows)| rows[k].clone()).collect());
-    line("all", whole.each_ref().map(Vec::as_slice));
-    table
+    let last = Line::of("all".to_owned(), whole.each_ref().map(Vec::as_slice));
+    all.iter().map(of_day).chain([last]).collect()
 }

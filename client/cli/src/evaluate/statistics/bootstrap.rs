@@ -65,6 +65,30 @@ pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, shares: &
     values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn, clusters)).collect()
 }
 
+/// How a figure of one sample compares with another's: the ratio of the percentiles at `share`, then of the root
+/// mean squares, of ((value, other), cluster) rows; `None` of nothing. Rows are drawn together, so that what both
+/// samples have in common cancels.
+pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], share: f64) -> Option<[Estimate; 2]> {
+    let of =
+        |value: fn(&(f64, f64)) -> f64| numbered(rows.iter().map(|(pair, cluster)| (value(pair), cluster)));
+    let ((ours, clusters), (others, _)) = (of(|pair| pair.0), of(|pair| pair.1));
+    let figures = |sorted: &[(f64, usize)], weights: &[u32]| {
+        let squares = sorted.iter().map(|(v, cluster)| f64::from(weights[*cluster]) * v * v);
+        [at_shares(sorted, weights, &[share])[0], squares.sum::<f64>().sqrt()]
+    };
+    let compared = |weights: &[u32]| {
+        let (a, b) = (figures(&ours, weights), figures(&others, weights));
+        [a[0] / b[0], a[1] / b[1]]
+    };
+    if rows.is_empty() {
+        return None;
+    }
+    let mut draws = Draws::of(clusters);
+    let drawn: Vec<_> = (0..DRAWS).map(|_| compared(draws.next())).collect();
+    let value = compared(&vec![1; clusters]);
+    Some([0, 1].map(|k| estimate(value[k], drawn.iter().map(|d| d[k]).collect(), clusters)))
+}
+
 /// The share of (hit, cluster) pairs that are hits; `None` of nothing.
 pub fn share<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
     mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))
@@ -149,6 +173,17 @@ mod tests {
         assert!((few.value - 0.5).abs() < 1e-12 && few == many);
         // Two standard errors of 0.05 to either side.
         assert!((few.high - few.low - 0.196).abs() < 0.03, "{few:?}");
+    }
+
+    /// Catches: samples that are drawn apart, whose ratio would scatter by as much as either.
+    #[test]
+    fn what_two_samples_have_in_common_cancels_in_their_ratio() {
+        let rows: Vec<_> = (1..=200_u32).map(|k| ((1.1 * f64::from(k), f64::from(k)), k % 40)).collect();
+        for ratio in ratios(&rows, 0.95).unwrap() {
+            let Estimate { value, low, high } = ratio;
+            assert!([value, low, high].iter().all(|v| (v - 1.1).abs() < 1e-9), "{ratio:?}");
+        }
+        assert_eq!(ratios::<u8>(&[], 0.5), None);
     }
 
     #[test]
