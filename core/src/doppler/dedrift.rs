@@ -1,8 +1,8 @@
 //! Odometry, corrected by the velocities the radars measured.
 //!
 //! Over a batch, odometry errs by a velocity that hardly changes: a scale of the wheels, a bias of the
-//! gyro. So its error is taken for a straight line in time, in each of forward, left and yaw rate, and
-//! fitted to what the radars say. Each stretch between two estimates is compared as a whole: the noise
+//! gyro. So its error while it moves is taken for a straight line in time, in each of forward, left and
+//! yaw rate, and fitted to what the radars say. Each stretch between two estimates is compared as a whole: the noise
 //! of single odometry poses cancels, for where one stretch ends the next begins.
 
 use nalgebra::{Matrix3x6, SMatrix, SVector, Vector3};
@@ -59,6 +59,9 @@ type Line = SVector<f64, 6>;
 
 /// Estimates of the own velocity, fewer of which correct nothing.
 const MIN_ESTIMATES: usize = 5;
+
+/// Odometry that is slower says that the body stands, metres per second.
+const STANDING_MPS: f64 = 0.05;
 
 /// Corrects odometry by the radial speeds of the scans it organises, oldest first; `None` where they say too
 /// little, as they do when the sensors do not measure them.
@@ -122,8 +125,12 @@ fn fitted(
     let prior = Line::from_iterator(sigmas.into_iter().cycle().take(6));
     let (mut information, mut sum) = (SMatrix::<f64, 6, 6>::from_diagonal(&prior), Line::zeros());
     for (index, (time_us, estimate)) in estimates.iter().enumerate() {
-        let middle =
-            |other: Option<&(i64, EgoVelocity)>| other.map_or(*time_us, |(t, _)| i64::midpoint(*t, *time_us));
+        // No longer than a group: an estimate tells nothing of a stop that comes before or after it.
+        let half_us = (bias.group_s * 0.5e6) as i64;
+        let middle = |other: Option<&(i64, EgoVelocity)>| {
+            let middle = other.map_or(*time_us, |(t, _)| i64::midpoint(*t, *time_us));
+            middle.clamp(time_us - half_us, time_us + half_us)
+        };
         let before = index.checked_sub(1).and_then(|before| estimates.get(before));
         let (from_us, to_us) = (middle(before), middle(estimates.get(index + 1)));
         let Some(odometric) = odometry.velocity_between(from_us, to_us) else { continue };
@@ -168,8 +175,10 @@ impl Span {
         let mut corrected = Trajectory::new([(last_us, pose)]).ok()?;
         for (time_us, next) in odometry.iter().skip(1) {
             let dt_s = (time_us - last_us) as f64 * 1e-6;
-            let added = self.design(i64::midpoint(last_us, time_us)) * line * dt_s;
             let step = last.between(&next);
+            // Wheels that stand do not err, and neither does a gyro that is told so.
+            let moved = step.x_m.hypot(step.y_m) > STANDING_MPS * dt_s;
+            let added = self.design(i64::midpoint(last_us, time_us)) * line * if moved { dt_s } else { 0.0 };
             // What is added points along the body half-way through the step's turn.
             let (s, c) = (0.5 * (step.yaw_rad + added.z)).sin_cos();
             pose = pose.compose(&Pose2::new(

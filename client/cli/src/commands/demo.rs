@@ -6,7 +6,7 @@
 mod report;
 
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
@@ -31,6 +31,9 @@ pub struct Args {
     /// Seconds between the localizing vehicle's questions.
     #[arg(long, default_value_t = 1.5)]
     every_s: f64,
+    /// Write every fix into this CSV file.
+    #[arg(long)]
+    out: Option<PathBuf>,
     /// End when done, instead of keeping the console up until Ctrl-C.
     #[arg(long)]
     exit: bool,
@@ -143,5 +146,8 @@ async fn localize(args: &Args, city: &City, service: &Service, json: bool) -> an
     let bar = progress::bar("another vehicle finds itself", 0, json);
     let replay = fixes::ask(&drive, &localize::localizer(&service.grpc)?, &plan, &bar).await?;
     bar.finish_and_clear();
+    if let Some(out) = &args.out {
+        localize::write(out, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
+    }
     Ok(replay.summary())
 }

@@ -98,7 +98,11 @@ pub fn localizer(server: &str) -> anyhow::Result<Localizer> {
     Ok(Localizer::new(Service::at(server).endpoint()?, options))
 }
 
-fn write(out: &Path, fixes: &[Fix]) -> anyhow::Result<()> {
+/// Writes fixes into a CSV file.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn write(out: &Path, fixes: &[Fix]) -> anyhow::Result<()> {
     let mut writer = csv::Writer::from_path(out)?;
     for fix in fixes {
         writer.serialize(fix)?;

@@ -61,3 +61,26 @@ fn without_radial_speeds_nothing_is_corrected() {
     let config = (EgoConfig::default(), OdometryBias::default());
     assert_eq!(dedrifted(&scans, &mounts(), &bend(0.0, 0.0), &config.0, &config.1), None);
 }
+
+/// Catches an estimate that is compared with the odometry of a stop beside it, which takes two metres off the
+/// way of a car that waited at a junction.
+#[test]
+fn a_stop_corrects_nothing() {
+    const STOP_US: std::ops::Range<i64> = 700_000..4_000_000;
+    let after =
+        |time_us: i64| if time_us < STOP_US.start { time_us } else { time_us + STOP_US.end - STOP_US.start };
+    let driven = bend(0.0, 0.0);
+    let until: Vec<_> = driven.iter().take_while(|(time_us, _)| *time_us <= 1_000_000).collect();
+    let (_, at_rest) = until.iter().find(|(time_us, _)| *time_us >= STOP_US.start).copied().unwrap();
+    let rests = STOP_US.step_by(20_000).map(|time_us| (time_us, at_rest));
+    let mut way: Vec<_> = until.iter().map(|(time_us, pose)| (after(*time_us), *pose)).chain(rests).collect();
+    way.sort_by_key(|(time_us, _)| *time_us);
+    let odometry = Trajectory::new(way).unwrap();
+    // While it stands, its gate lets no scan through.
+    let mut scans: Vec<_> = seen().into_iter().filter(|scan| scan.time_us < 850_000).collect();
+    scans.iter_mut().for_each(|scan| scan.time_us = after(scan.time_us));
+    let config = (EgoConfig::default(), OdometryBias::default());
+    let found = dedrifted(&scans, &mounts(), &odometry, &config.0, &config.1).unwrap();
+    let (metres, radians) = end_error(&found.trajectory, &odometry);
+    assert!(metres < 0.05 && radians < 1e-3, "{metres} m, {radians} rad");
+}
