@@ -39,16 +39,21 @@ enum Rule {
     Block(i64),
     /// Those in cells not farther off than this along each axis.
     Within(i64),
+    /// The same, and not only three contributors' but those of so many in a hundred that were there.
+    Share(i64, u8),
 }
 
-const RULES: [Rule; 7] = [
+const RULES: [Rule; 10] = [
     Rule::Any,
     Rule::Block(8),
     Rule::Block(4),
-    Rule::Within(3),
     Rule::Within(2),
     Rule::Within(1),
-    Rule::Within(0),
+    Rule::Share(2, 50),
+    Rule::Share(2, 40),
+    Rule::Share(1, 40),
+    Rule::Share(1, 30),
+    Rule::Share(1, 20),
 ];
 
 impl Rule {
@@ -56,13 +61,20 @@ impl Rule {
         match self {
             Self::Any => "everything".to_owned(),
             Self::Block(cells) => format!("within the same {:.1} m", CELL_M * cells as f64),
-            Self::Within(0) => "in the cell".to_owned(),
-            Self::Within(cells) => format!("{} cells or less away", cells),
+            Self::Within(cells) => format!("{cells} cells or less away"),
+            Self::Share(cells, percent) => format!("{cells} cells or less away, by {percent} % of all"),
         }
     }
 
-    fn least(self) -> usize {
-        if self == Self::Any { 0 } else { LEAST }
+    /// Contributors that must have hit something, of so many.
+    fn least(self, contributors: u64) -> usize {
+        match self {
+            Self::Any => 0,
+            Self::Share(_, percent) => {
+                LEAST.max((contributors as usize * usize::from(percent)).div_ceil(100))
+            }
+            _ => LEAST,
+        }
     }
 
     /// Corners of the cells around one that support it.
@@ -74,7 +86,7 @@ impl Rule {
                 let low = |v: i64| v.div_euclid(side) * side;
                 [low(x), low(x) + side - 1, low(y), low(y) + side - 1]
             }
-            Self::Within(cells) => [x - cells, x + cells, y - cells, y + cells],
+            Self::Within(cells) | Self::Share(cells, _) => [x - cells, x + cells, y - cells, y + cells],
         }
     }
 }
@@ -142,7 +154,8 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
         }
         if CROWDS.contains(&(who + 1)) {
             let tiles = map.published(1, None);
-            let of = |rule: &Rule| outcome(*rule, &tiles, &hits, zone, (&localized, most), &made_up);
+            let of =
+                |rule: &Rule| outcome((*rule, who + 1), &tiles, &hits, zone, (&localized, most), &made_up);
             outcomes.push(RULES.par_iter().map(of).collect::<anyhow::Result<Vec<_>>>()?);
         }
     }
@@ -150,7 +163,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
 }
 
 fn outcome(
-    rule: Rule,
+    (rule, contributors): (Rule, u64),
     tiles: &BTreeMap<TileId, Tile>,
     hits: &Hits,
     zone: Zone,
@@ -162,14 +175,15 @@ fn outcome(
     for (id, tile) in tiles {
         let kept = tile.cells().iter().filter(|(index, _)| {
             let (y, x) = cell(*id, *index);
-            rule == Rule::Any || hits.count(rule, (x, y)) >= rule.least()
+            rule == Rule::Any || hits.count(rule, (x, y)) >= rule.least(contributors)
         });
         let kept: Vec<_> = kept.copied().collect();
         outcome.served += kept.len();
         outcome.cells += tile.len();
         served.extend(Tile::from_cells(kept).map(|tile| (*id, tile)));
     }
-    outcome.phantoms = made_up.iter().filter(|at| hits.count(rule, **at) + 1 >= rule.least()).count();
+    outcome.phantoms =
+        made_up.iter().filter(|at| hits.count(rule, **at) + 1 >= rule.least(contributors + 1)).count();
     let key = MapKey { world: 0, contributors: 3, movers: Movers::Dropped };
     outcome.fixes = fixes(&RadarMap::of_tiles(key, zone, served), localized, Name::Echofix, most)?;
     Ok(outcome)
