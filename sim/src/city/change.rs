@@ -14,10 +14,14 @@ use crate::plane::Point;
 
 /// Buildings reach so far beyond the line of fronts, metres: bays stand out, walls are modelled so deep.
 const PLOT_M: Range<f64> = -0.5..14.0;
-/// Barriers stand in the rows of parked cars, so far from the kerb, metres.
-const BARRIER_M: f64 = 2.4;
+/// Barriers stand before the rows of parked cars, so far from the kerb, metres.
+const BARRIER_M: f64 = 2.7;
 /// From post to post of a barrier, metres.
 const POSTS_M: f64 = 1.5;
+/// Length and width of a site's containers, metres: those that ships carry.
+const CONTAINER_M: [f64; 2] = [6.1, 2.4];
+/// From one container to the next, metres.
+const GAP_M: f64 = 1.9;
 
 /// A stretch of one side of a street, where buildings stand.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +41,8 @@ pub enum Change {
     Demolished(Plot, u32),
     /// What stands on a plot is built on a day; before, there is a fenced lot.
     Built(Plot, u32),
-    /// A street is narrowed on some days: barriers stand where else cars park.
+    /// A street is a building site on some days: containers stand along both its kerbs where else cars park, and
+    /// hide the fronts behind them; barriers before them leave the lanes free.
     Roadworks(usize, Range<u32>),
 }
 
@@ -82,7 +87,7 @@ impl City {
                     self.passing.push(Passing { days: *day..u32::MAX, structure: built });
                 }
                 Change::Roadworks(street, days) => {
-                    let structure = barriers(&self.network.streets()[*street]);
+                    let structure = site(&self.network.streets()[*street]);
                     self.passing.push(Passing { days: days.clone(), structure });
                     self.narrowed.push((*street, days.clone()));
                 }
@@ -143,6 +148,35 @@ impl Plot {
     }
 }
 
+/// Containers and barriers along both sides of a street.
+fn site(street: &Street) -> Structure {
+    let clear = super::furniture::CLEAR_M;
+    let frame = street_frame(street);
+    let free_m = street.length_m() - 2.0 * clear;
+    let [length_m, width_m] = CONTAINER_M;
+    let mut structure = barriers(street);
+    for k in 0..(free_m / (length_m + GAP_M)).max(0.0) as usize {
+        let x = clear + (k as f64 + 0.5) * (length_m + GAP_M);
+        for (sign, yaw_rad) in [(1.0, PI), (-1.0, 0.0)] {
+            let y = sign * (street.kerb_m - 0.5 * width_m);
+            container(&mut structure, &frame.compose(&Pose2::new(x, y, yaw_rad)));
+        }
+    }
+    structure
+}
+
+/// A container about a pose whose left is the lanes' side: corners, a corrugated side, and what it hides.
+fn container(structure: &mut Structure, at: &Pose2) {
+    let [l, w] = CONTAINER_M.map(|side| 0.5 * side);
+    let corner = Look { kind: Kind::Corner, probability: 0.35, rcs_dbsm: 8.0, edge_rad: 1.3 };
+    let side = Look { kind: Kind::Wall, probability: 0.15, rcs_dbsm: 4.0, edge_rad: 0.9 };
+    let corners = [([l, w], 0.25 * PI), ([-l, w], 0.75 * PI), ([l, -w], -0.25 * PI), ([-l, -w], -0.75 * PI)];
+    structure.reflectors.extend(corners.map(|(place, facing)| corner.at(at, place, facing)));
+    let ribs = (-2..=2).map(|k| side.at(at, [f64::from(k), w], 0.5 * PI));
+    structure.reflectors.extend(ribs);
+    structure.wall(at, &[[-l + 0.2, 0.0], [l - 0.2, 0.0]]);
+}
+
 /// Barriers along both sides of a street.
 fn barriers(street: &Street) -> Structure {
     let post = Look { kind: Kind::Fence, probability: 0.25, rcs_dbsm: 2.0, edge_rad: 4.0 };
@@ -201,15 +235,22 @@ mod tests {
         assert!(city.changing(&[Change::Roadworks(99, 0..1)]).is_err());
     }
 
-    /// Catches: barriers on other days, and cars parked through them.
+    /// Catches: containers on other days, outside the rows of parked cars, and cars parked through them.
     #[test]
-    fn barriers_stand_where_cars_park_while_there_are_roadworks() {
+    fn containers_stand_where_cars_park_while_there_are_roadworks() {
         let (plain, closed) = (town(&[]), town(&[Change::Roadworks(1, 5..8)]));
         for day in [4, 8] {
             assert_eq!(fixed(&closed, day), fixed(&plain, day));
             assert_eq!(closed.on_day(day).parked(), plain.on_day(day).parked());
         }
-        assert!(fixed(&closed, 5).len() > fixed(&plain, 5).len() + 50);
+        assert!(fixed(&closed, 5).len() > fixed(&plain, 5).len() + 100);
+        let street = &plain.network.streets()[1];
+        let (to_street, site) = (street_frame(street).inverse(), site(street));
+        for at in site.reflectors.iter().map(|r| r.at).chain(site.walls.iter().flat_map(|w| [w.a, w.b])) {
+            let [x, y] = to_street.transform(at);
+            assert!((0.0..street.length_m()).contains(&x), "{x}");
+            assert!((street.kerb_m - BARRIER_M - 1e-6..=street.kerb_m + 1e-6).contains(&y.abs()), "{y}");
+        }
         assert!(closed.on_day(5).parked().len() + 5 < plain.on_day(5).parked().len());
     }
 }

@@ -12,7 +12,7 @@ use echofix_sim::City;
 use super::uploads::{Sending, Upload, cut, cut_wrong};
 
 /// Length of the wall that is made up, metres.
-const WALL_M: f64 = 20.0;
+pub const WALL_M: f64 = 20.0;
 /// Detections in each of its cells and uploads.
 const WALL_HITS: u32 = 4;
 /// How often an upload is sent again.
@@ -48,24 +48,29 @@ impl Attack {
         }
     }
 
-    /// What a bad contributor makes of a drive.
+    /// What a bad contributor makes of a drive, of which `honest` is what a good one would send.
     ///
     /// # Errors
     /// When scans and poses do not fit together.
-    pub fn uploads(self, city: &City, drive: &Drive, contributor: u64) -> anyhow::Result<Vec<Upload>> {
-        let zone = city.site().zone();
-        let honest = |drive: &Drive| cut(drive, zone, Sending::of(contributor));
+    pub fn uploads(
+        self,
+        city: &City,
+        drive: &Drive,
+        contributor: u64,
+        honest: &[Upload],
+    ) -> anyhow::Result<Vec<Upload>> {
+        let (zone, sending) = (city.site().zone(), Sending::of(contributor));
         match self {
-            Self::None => honest(drive),
+            Self::None => Ok(honest.to_vec()),
             Self::Wall => {
-                let (wall, mut uploads) = (wall(city), honest(drive)?);
+                let (wall, mut uploads) = (wall(city), honest.to_vec());
                 for upload in &mut uploads {
                     add(upload, &wall);
                 }
                 Ok(uploads)
             }
             Self::Erase => {
-                let mut uploads = honest(drive)?;
+                let mut uploads = honest.to_vec();
                 for share in uploads.iter_mut().flat_map(|upload| upload.contribution.tiles.values_mut()) {
                     share.cells.truncate(1);
                 }
@@ -73,25 +78,22 @@ impl Attack {
             }
             Self::Shift(m) => {
                 let east = |_, _, pose: Pose2| Pose2 { x_m: pose.x_m + m, ..pose };
-                cut_wrong(drive, zone, Sending::of(contributor), east)
+                cut_wrong(drive, zone, sending, east)
             }
             Self::Mount(rad) => {
                 let mut drive = drive.clone();
                 if let Some(Mount { yaw_rad, .. }) = drive.mounts.first_mut() {
                     *yaw_rad += rad;
                 }
-                honest(&drive)
+                cut(&drive, zone, sending)
             }
-            Self::Replay => {
-                let uploads = honest(drive)?;
-                Ok(uploads.iter().flat_map(|upload| vec![upload.clone(); 1 + REPLAYS]).collect())
-            }
+            Self::Replay => Ok(honest.iter().flat_map(|upload| vec![upload.clone(); 1 + REPLAYS]).collect()),
         }
     }
 }
 
-/// Cells of a wall across the middle of the town's first street.
-fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
+/// Cells of the wall that is made up, across the middle of the town's first street.
+pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
     let (street, site) = (&city.network().streets()[0], city.site());
     let middle = [0, 1].map(|axis| 0.5 * (street.a[axis] + street.b[axis]));
     let along = [0, 1].map(|axis| (street.b[axis] - street.a[axis]) / street.length_m());
@@ -147,13 +149,14 @@ mod tests {
             let shares = uploads.iter().flat_map(|u| u.contribution.tiles.values());
             shares.map(|share| share.cells.len()).sum()
         };
-        let honest = Attack::None.uploads(&city, &drive, 1).unwrap();
-        let bad = Attack::Wall.uploads(&city, &drive, 1).unwrap();
+        let honest = cut(&drive, city.site().zone(), Sending::of(1)).unwrap();
+        let does = |attack: Attack| attack.uploads(&city, &drive, 1, &honest).unwrap();
+        let bad = does(Attack::Wall);
         let ordered = |u: &Upload| {
             u.contribution.tiles.values().all(|s| s.cells.windows(2).all(|w| w[0].index < w[1].index))
         };
         assert!(bad.iter().all(ordered) && total(&bad) > total(&honest));
-        assert!(total(&Attack::Erase.uploads(&city, &drive, 1).unwrap()) < 20 * bad.len());
-        assert_eq!(Attack::Replay.uploads(&city, &drive, 1).unwrap().len(), (1 + REPLAYS) * honest.len());
+        assert!(total(&does(Attack::Erase)) < 20 * bad.len());
+        assert_eq!(does(Attack::Replay).len(), (1 + REPLAYS) * honest.len());
     }
 }

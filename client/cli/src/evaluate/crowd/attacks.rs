@@ -2,18 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use echofix_core::agreement::PointIndex;
 use echofix_core::drive::Drive;
-use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
-use echofix_core::tile::Tile;
+use echofix_core::evidence::CellHits;
+use echofix_core::geo::{CELLS_PER_TILE, TileId};
 use echofix_sim::City;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::attack::Attack;
+use super::attack::{self, Attack, WALL_M};
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
+use super::uploads::{Sending, Upload, cut};
 use super::{Scale, Told, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
@@ -25,12 +25,9 @@ use crate::evaluate::section::Section;
 const LEAST: u8 = 3;
 /// Days that a bad contributor drives on, where a good one drives on one.
 const BAD_DAYS: u32 = 3;
-/// What lies nearer to anything that stands in the town may be a return of it, metres.
-const GENUINE_M: f64 = 0.5;
 
 /// What is tried: by how many contributors.
-const TRIED: [(Attack, usize); 13] = [
-    (Attack::None, 1),
+const TRIED: [(Attack, usize); 11] = [
     (Attack::None, 3),
     (Attack::Wall, 1),
     (Attack::Wall, 3),
@@ -42,28 +39,41 @@ const TRIED: [(Attack, usize); 13] = [
     (Attack::Shift(1.0), 3),
     (Attack::Mount(2.0 * std::f64::consts::PI / 180.0), 1),
     (Attack::Replay, 1),
-    (Attack::Replay, 3),
 ];
 
 /// A town and everybody's drives in it.
 struct Stage {
     city: City,
-    /// Whose, and which, in order of the days.
-    drives: Vec<(u64, Drive)>,
+    drives: Vec<Trip>,
     localized: Drive,
-    /// What stands in the town, map metres.
-    genuine: PointIndex,
+    /// Where the wall is made up, and a little around it: vetting moves uploads.
+    wall: BTreeSet<(TileId, u32)>,
     contributors: u64,
+}
+
+/// Somebody's drive.
+struct Trip {
+    who: u64,
+    drive: Drive,
+    /// What he sends if he is good.
+    honest: Vec<Upload>,
+}
+
+/// What has come of some drives.
+struct Course {
+    map: CrowdMap,
+    /// Uploads of the good and of the bad ones, and how many of them were quarantined.
+    uploads: [[usize; 2]; 2],
+    /// Cells about the wall that good and that bad ones hit.
+    hit: [BTreeSet<(TileId, u32)>; 2],
 }
 
 /// What came of an attack.
 #[derive(Default)]
 struct Outcome {
-    /// Uploads of the bad contributors, and how many of them were quarantined.
-    bad: [usize; 2],
-    /// The same of the good ones.
-    good: [usize; 2],
-    /// Served cells that only bad ones hit, far from what stands there.
+    /// See [`Course::uploads`].
+    uploads: [[usize; 2]; 2],
+    /// Served cells about the wall that only bad ones hit.
     phantoms: usize,
     fixes: Vec<Record>,
 }
@@ -71,59 +81,81 @@ struct Outcome {
 impl Stage {
     fn new(seed: u64, contributors: u64) -> anyhow::Result<Self> {
         let city = town::small(seed)?;
+        let zone = city.site().zone();
         let bad = bad(contributors, 3);
         let days = |who: u64| if bad.contains(&who) { BAD_DAYS } else { 1 };
         let trips: Vec<_> = (0..contributors)
             .flat_map(|who| (0..days(who)).map(move |day| (who, who as u32 + day)))
             .collect();
-        let drive = |(number, (who, day)): (usize, &(u64, u32))| {
-            Ok((*who, town::drive(&city, *day, Way::Errand, number as u64)?))
+        let trip = |(number, (who, day)): (usize, &(u64, u32))| {
+            let drive = town::drive(&city, *day, Way::Errand, number as u64)?;
+            Ok(Trip { who: *who, honest: cut(&drive, zone, Sending::of(*who))?, drive })
         };
-        let drives = trips.par_iter().enumerate().map(drive).collect::<anyhow::Result<_>>()?;
+        let drives = trips.par_iter().enumerate().map(trip).collect::<anyhow::Result<_>>()?;
         let localized = town::drive(&city, contributors as u32 + 3, Way::Survey, 90_000)?;
-        let structure = city.structure().reflectors.iter().map(|r| city.site().to_map(r.at));
-        Ok(Self { genuine: PointIndex::new(structure), city, drives, localized, contributors })
+        Ok(Self { wall: around(&attack::wall(&city)), city, drives, localized, contributors })
     }
 
-    fn attacked(&self, attack: Attack, count: usize, most: usize) -> anyhow::Result<Outcome> {
-        let bad = bad(self.contributors, count);
-        let mut map = CrowdMap::new(self.city.site().zone());
-        let mut outcome = Outcome::default();
-        let mut hit: [BTreeSet<(TileId, u32)>; 2] = Default::default();
-        for (who, drive) in &self.drives {
-            let is_bad = bad.contains(who);
-            let does = if is_bad { attack } else { Attack::None };
-            for upload in does.uploads(&self.city, drive, *who)? {
-                let folded = map.offer(&upload);
-                let counts = if is_bad { &mut outcome.bad } else { &mut outcome.good };
-                counts[0] += 1;
-                counts[1] += usize::from(folded.is_none());
-                let cells = folded
-                    .iter()
-                    .flatten()
-                    .flat_map(|(id, share)| share.cells.iter().map(|cell| (*id, cell.index)));
-                hit[usize::from(is_bad)].extend(cells);
-            }
+    /// The drives before the first bad one's: the same whatever the attack.
+    fn before(&self, count: usize) -> anyhow::Result<Course> {
+        let first = bad(self.contributors, count)[0];
+        let map = CrowdMap::new(self.city.site().zone());
+        let mut course = Course { map, uploads: Default::default(), hit: Default::default() };
+        for trip in self.drives.iter().take_while(|trip| trip.who < first) {
+            self.add(&mut course, trip, Attack::None, false)?;
         }
-        let served = map.published(LEAST, None);
-        outcome.phantoms = self.phantoms(&served, &hit);
-        let key = MapKey { world: 0, contributors: count, movers: Movers::Dropped };
-        let served = RadarMap::of_tiles(key, map.zone(), served);
-        outcome.fixes = fixes(&served, &self.localized, Name::Echofix, most)?;
-        Ok(outcome)
+        Ok(course)
     }
 
-    fn phantoms(&self, served: &BTreeMap<TileId, Tile>, hit: &[BTreeSet<(TileId, u32)>; 2]) -> usize {
+    /// Everybody after that.
+    fn attacked(
+        &self,
+        attack: Attack,
+        count: usize,
+        before: &Course,
+        most: usize,
+    ) -> anyhow::Result<Outcome> {
+        let bad = bad(self.contributors, count);
+        let (map, hit) = (before.map.fork(), before.hit.clone());
+        let mut course = Course { map, uploads: before.uploads, hit };
+        for trip in self.drives.iter().skip_while(|trip| trip.who < bad[0]) {
+            let is_bad = bad.contains(&trip.who);
+            self.add(&mut course, trip, if is_bad { attack } else { Attack::None }, is_bad)?;
+        }
+        let served = course.map.published(LEAST, None);
         let cells = served.iter().flat_map(|(id, tile)| tile.cells().iter().map(|(index, _)| (*id, *index)));
-        let by_bad = |cell: &(TileId, u32)| hit[1].contains(cell) && !hit[0].contains(cell);
-        let is_far = |(id, index): &(TileId, u32)| {
-            let side = CELLS_PER_TILE as u32;
-            let [x, y] = id.origin();
-            let at = [index % side, index / side].map(|c| (f64::from(c) + 0.5) * CELL_M);
-            self.genuine.distance_m([x + at[0], y + at[1]]).is_none_or(|m| m > GENUINE_M)
-        };
-        cells.filter(by_bad).filter(is_far).count()
+        let phantoms = cells.filter(|cell| course.hit[1].contains(cell) && !course.hit[0].contains(cell));
+        let phantoms = phantoms.count();
+        let key = MapKey { world: 0, contributors: count, movers: Movers::Dropped };
+        let served = RadarMap::of_tiles(key, course.map.zone(), served);
+        let fixes = fixes(&served, &self.localized, Name::Echofix, most)?;
+        Ok(Outcome { uploads: course.uploads, phantoms, fixes })
     }
+
+    fn add(&self, course: &mut Course, trip: &Trip, attack: Attack, is_bad: bool) -> anyhow::Result<()> {
+        for upload in attack.uploads(&self.city, &trip.drive, trip.who, &trip.honest)? {
+            let folded = course.map.offer(&upload);
+            let [all, quarantined] = &mut course.uploads[usize::from(is_bad)];
+            *all += 1;
+            *quarantined += usize::from(folded.is_none());
+            let shares = folded.iter().flatten();
+            let cells = shares.flat_map(|(id, share)| share.cells.iter().map(|cell| (*id, cell.index)));
+            course.hit[usize::from(is_bad)].extend(cells.filter(|cell| self.wall.contains(cell)));
+        }
+        Ok(())
+    }
+}
+
+/// Cells not farther than two from those of a wall, within its tiles.
+fn around(wall: &BTreeMap<TileId, Vec<CellHits>>) -> BTreeSet<(TileId, u32)> {
+    let side = CELLS_PER_TILE as i64;
+    let near = |id: TileId, index: u32| {
+        let (x, y) = (i64::from(index) % side, i64::from(index) / side);
+        let steps = (-2..=2).flat_map(move |dy| (-2..=2).map(move |dx| (x + dx, y + dy)));
+        let within = steps.filter(move |(x, y)| (0..side).contains(x) && (0..side).contains(y));
+        within.map(move |(x, y)| (id, (y * side + x) as u32))
+    };
+    wall.iter().flat_map(|(id, cells)| cells.iter().flat_map(move |cell| near(*id, cell.index))).collect()
 }
 
 /// Who is bad: spread among the others, none of them the first.
@@ -134,9 +166,8 @@ fn bad(contributors: u64, count: usize) -> Vec<u64> {
 
 impl Outcome {
     fn join(&mut self, other: Self) {
-        for k in 0..2 {
-            self.bad[k] += other.bad[k];
-            self.good[k] += other.good[k];
+        for (sums, more) in self.uploads.iter_mut().zip(other.uploads) {
+            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
         }
         self.phantoms += other.phantoms;
         self.fixes.extend(other.fixes);
@@ -149,11 +180,15 @@ impl Outcome {
 /// When a town or a drive cannot be simulated.
 pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let (contributors, most) = if scale.quick { (8, 40) } else { (20, 150) };
-    let towns = scale.towns(2);
+    let towns = scale.towns(1);
     let mut all: Vec<Outcome> = TRIED.iter().map(|_| Outcome::default()).collect();
     for seed in towns {
         let stage = Stage::new(*seed, contributors)?;
-        let tried = TRIED.par_iter().map(|(attack, count)| stage.attacked(*attack, *count, most));
+        let before: Vec<_> =
+            [1, 3].par_iter().map(|count| stage.before(*count)).collect::<anyhow::Result<_>>()?;
+        let tried = TRIED
+            .par_iter()
+            .map(|(attack, count)| stage.attacked(*attack, *count, &before[usize::from(*count > 1)], most));
         let tried: Vec<_> = tried.collect::<anyhow::Result<_>>()?;
         all.iter_mut().zip(tried).for_each(|(all, one)| all.join(one));
     }
@@ -172,9 +207,9 @@ fn words(contributors: u64) -> String {
         "### Bad contributors
 
 {contributors} contributors drive 900 m each, on a day of their own; the bad ones among them on {BAD_DAYS} days. Served is what at least {LEAST}
-contributors told. Made-up cells are served cells that only bad contributors hit, more than {GENUINE_M} m from anything that stands in
-the town every day: the honest lines say how many of them are cars that nobody else saw, and clutter. In the honest lines the
-same vehicles drive as often and do nothing bad.
+contributors told. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
+less than 30 cm from it, and in the honest line what of clutter is served there anyway. There the same vehicles drive as often and do
+nothing bad: that is the error before an attack.
 "
     )
 }
@@ -186,7 +221,7 @@ const COLUMNS: [&str; 11] = [
     "quarantined",
     "others' uploads",
     "quarantined",
-    "made-up cells served",
+    "cells of the wall served",
     "95 % of the errors, cm",
     "wrong by > 1 m",
     "usable",
@@ -202,14 +237,14 @@ struct Line {
     quarantined: usize,
     others_uploads: usize,
     others_quarantined: usize,
-    made_up_cells: usize,
+    wall_cells: usize,
     #[serde(flatten)]
     summary: Summary,
 }
 
 impl Line {
     fn of((attack, attackers): (Attack, usize), outcome: &Outcome) -> Self {
-        let Outcome { bad: [uploads, quarantined], good, phantoms, fixes } = outcome;
+        let Outcome { uploads: [good, [uploads, quarantined]], phantoms, fixes } = outcome;
         Self {
             attack: attack.words(),
             attackers,
@@ -217,16 +252,16 @@ impl Line {
             quarantined: *quarantined,
             others_uploads: good[0],
             others_quarantined: good[1],
-            made_up_cells: *phantoms,
+            wall_cells: *phantoms,
             summary: Summary::of(fixes),
         }
     }
 
     fn cells(&self) -> String {
         let Self { attack, attackers, uploads, quarantined, .. } = self;
-        let Self { others_uploads, others_quarantined, made_up_cells, summary, .. } = self;
+        let Self { others_uploads, others_quarantined, wall_cells, summary, .. } = self;
         let counts = format!("{uploads} | {quarantined} | {others_uploads} | {others_quarantined}");
-        format!("{attack} | {attackers} | {counts} | {made_up_cells} | {}", summary.cells())
+        format!("{attack} | {attackers} | {counts} | {wall_cells} | {}", summary.cells())
     }
 }
 

@@ -1,8 +1,7 @@
 //! A map made the service's way: uploads are held against it, moved onto it and folded, or kept out.
 
-use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::Datum;
@@ -27,13 +26,20 @@ pub struct CrowdMap {
 struct Told {
     tiles: BTreeMap<TileId, Tile>,
     ledgers: BTreeMap<TileId, Ledger>,
-    prepared: RefCell<HashMap<TileId, Arc<TileWeights>>>,
+    prepared: Mutex<HashMap<TileId, Arc<TileWeights>>>,
 }
 
 impl CrowdMap {
     /// An empty one.
     pub fn new(zone: Zone) -> Self {
         Self { zone, told: Told::default(), vetter: Vetter::default(), limits: Limits::default() }
+    }
+
+    /// A copy that grows on its own.
+    pub fn fork(&self) -> Self {
+        let Told { tiles, ledgers, .. } = &self.told;
+        let told = Told { tiles: tiles.clone(), ledgers: ledgers.clone(), prepared: Mutex::default() };
+        Self { zone: self.zone, told, vetter: Vetter::default(), limits: self.limits }
     }
 
     /// The zone of its grid.
@@ -78,7 +84,7 @@ impl Told {
             let ledger = self.ledgers.entry(id).or_default();
             self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
             for near in id.with_neighbours() {
-                self.prepared.get_mut().remove(&near);
+                self.prepared.get_mut().unwrap_or_else(PoisonError::into_inner).remove(&near);
             }
             folded.push((id, share));
         }
@@ -97,7 +103,8 @@ impl MapSide for Others<'_> {
         let Told { tiles, ledgers, prepared } = self.told;
         let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
         let told = told_by_others(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
-        told.then(|| Arc::clone(prepared.borrow_mut().entry(id).or_insert_with(prepare)))
+        let mut prepared = prepared.lock().unwrap_or_else(PoisonError::into_inner);
+        told.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
     }
 
     fn datum(&self, id: TileId) -> Datum {

@@ -89,7 +89,9 @@ impl Form {
             for share in upload.contribution.tiles.values_mut() {
                 // The middle of four cells is a corner of the last of them.
                 let mut cells = widened(&share.cells, |x, y| (y | 1) * SIDE + (x | 1));
-                cells.iter_mut().for_each(|cell| cell.offset_sum = [0, 0]);
+                for cell in &mut cells {
+                    cell.offset_sum = [0, 0];
+                }
                 share.cells = cells;
             }
         }

@@ -49,7 +49,7 @@ impl Calendar {
     }
 }
 
-/// What changes in a town: a building goes, another one comes, a street is narrowed for four months.
+/// What changes in a town: a building goes, another one comes, a street is a building site for four months.
 fn changes(city: &City) -> Vec<Change> {
     let streets = city.network().streets();
     let plot = |street: usize, left| {
@@ -147,7 +147,7 @@ const NAMES: [&str; 3] = ["paper, map of day 0", "paper, everything added", "ech
 /// When a town or a drive cannot be simulated.
 pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let calendar = Calendar::of(scale);
-    let towns = scale.towns(2);
+    let towns = scale.towns(1);
     let mut all: Days = Vec::new();
     let mut uploads = [0, 0];
     for seed in towns {
@@ -190,8 +190,9 @@ fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
         "### A year
 
 Five vehicles map a town all on day 0, then two of them every {every} days, 900 m each. Parked cars change every day. One building is
-gone from day 90 on, one is built on day 150, and barriers stand where cars park in one street from day 60 to 179. Another vehicle
-drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
+gone from day 90 on, one is built on day 150, and from day 60 to 179 one street is a building site: containers stand along both kerbs
+where else cars park and hide the fronts behind them, with barriers before them. (Its lanes stay open: in a street that is closed there
+is nobody to ask where he is.) Another vehicle drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
 what the service serves of what at least three contributors told. Of {uploads} uploads {quarantined} were quarantined.
 "
     )
