@@ -8,7 +8,7 @@
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
+//!   `exclusion` (which of them count), `base` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
 //!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
@@ -38,6 +38,7 @@ mod key;
 mod manifest;
 mod operations;
 mod options;
+mod pieces;
 mod policy;
 mod quarantine;
 mod record;

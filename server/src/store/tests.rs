@@ -143,6 +143,23 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
     }
 }
 
+/// Breaks it: ending the start with sled's refusal.
+#[test]
+fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(20);
+    let store = open(dir.path());
+    commit_all(&store, &uploads);
+    caught_up(&store);
+    drop(store);
+    let tiles = tiles_dir(dir.path());
+    std::fs::remove_dir_all(&tiles).unwrap();
+    let older = sled::Config::new().path(&tiles).segment_size(4 << 20).open().unwrap();
+    older.open_tree("tiles").unwrap().insert([0; 10], "a whole tile").unwrap();
+    drop(older);
+    assert_eq!(map(&open(dir.path())), model(&uploads));
+}
+
 #[test]
 fn tiles_of_another_journal_are_not_believed() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());

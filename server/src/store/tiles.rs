@@ -1,15 +1,16 @@
-//! Tiles in sled, which is not trusted: every value carries its own checksum, and with every change goes,
+//! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
 //! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
 //! kept from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
 //! key    see [`super::key`]
-//! value  CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
+//! value  in pieces, see [`super::pieces`]: CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
 //! a quarantined upload: see [`super::quarantine`]
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use echofix_core::geo::TileId;
@@ -19,20 +20,15 @@ use uuid::Uuid;
 
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
-use super::key::{KEY, id, key};
-use super::quarantine;
+use super::key::key;
 use super::vetting::Quarantined;
-use super::{Error, TileInfo};
+use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.
 const JOURNAL: &[u8] = b"journal";
 /// Where it is kept how far the tiles go.
 const STATE: &[u8] = b"state";
 const HEAD: usize = 22;
-/// Size of a segment of sled's log. A node of more than a quarter of it is written to a file of its own, which sled
-/// does not remove when the node changes: with its usual 512 KiB, tiles of more than 128 kB leave one behind each time
-/// they are folded.
-const SEGMENT_BYTES: usize = 4 << 20;
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
@@ -40,14 +36,19 @@ const LOCK_WAIT: Duration = Duration::from_secs(10);
 pub(super) struct Tiles {
     pub(super) db: sled::Db,
     pub(super) tree: sled::Tree,
+    /// Held by who changes tiles, and by who must see them all of one time.
+    changing: Mutex<()>,
+    /// Held for writing while a batch is applied: no reader sees half of a tile's pieces.
+    whole: RwLock<()>,
 }
 
 impl Tiles {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let config = sled::Config::new().path(dir).cache_capacity(cache_bytes).segment_size(SEGMENT_BYTES);
+        let config =
+            sled::Config::new().path(dir).cache_capacity(cache_bytes).segment_size(pieces::SEGMENT_BYTES);
         let db = unlocked(&config)?;
         let tree = db.open_tree("tiles")?;
-        Ok(Self { db, tree })
+        Ok(Self { db, tree, changing: Mutex::default(), whole: RwLock::default() })
     }
 
     /// The journal these tiles were folded from; `None` in a new store.
@@ -60,16 +61,21 @@ impl Tiles {
         Ok(())
     }
 
-    /// All tiles and how far they are folded; `Err` says what is wrong with them.
+    /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
     pub(super) fn check(&self) -> Result<(Catalog, u64), String> {
+        let _unchanged = self.changing();
         let mut catalog = Catalog::default();
-        for entry in &self.tree {
-            let (key, value) = entry.map_err(|error| error.to_string())?;
-            if key != STATE && !quarantine::is_key(&key) {
-                let value =
-                    parse(&key, &value).ok_or_else(|| format!("the value of {:?} is damaged", &key[..]))?;
-                catalog.put(value.info);
-            }
+        let mut after = IVec::default();
+        while let Some((key, _)) = self.tree.get_gt(&after).map_err(|error| error.to_string())? {
+            after = if let Some(id) = pieces::tile_of(&key) {
+                let value = self.value(id).map_err(|error| error.to_string())?.unwrap_or_default();
+                catalog.put(parse(id, &value).map_err(|error| error.to_string())?.info);
+                IVec::from(&pieces::last_key(id)[..])
+            } else if key == STATE || quarantine::is_key(&key) {
+                key
+            } else {
+                return Err(format!("nobody knows what {:?} is", &key[..]));
+            };
         }
         match self.tree.get(STATE).map_err(|error| error.to_string())? {
             None => Err("it is not said how far they are folded".to_owned()),
@@ -83,16 +89,16 @@ impl Tiles {
 
     /// Version and evidence of a tile.
     pub(super) fn stored(&self, id: TileId) -> Result<Option<(u64, Tile)>, Error> {
-        let Some((key, value)) = self.value(id)? else { return Ok(None) };
-        let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
+        let Some(value) = self.value(id)? else { return Ok(None) };
+        let value = parse(id, &value)?;
         let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
         Ok(Some((value.info.version, tile)))
     }
 
     /// Version and encoded bytes of a tile.
     pub(super) fn raw(&self, id: TileId) -> Result<Option<(u64, Vec<u8>)>, Error> {
-        let Some((key, value)) = self.value(id)? else { return Ok(None) };
-        let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
+        let Some(value) = self.value(id)? else { return Ok(None) };
+        let value = parse(id, &value)?;
         Ok(Some((value.info.version, value.tile.to_vec())))
     }
 
@@ -104,14 +110,17 @@ impl Tiles {
         folded: u64,
         digest: u64,
     ) -> Result<(), Error> {
+        let _changing = self.changing();
         let mut batch = sled::Batch::default();
-        for Value { key, bytes, .. } in values {
-            batch.insert(&key[..], bytes);
+        for Value { bytes, info } in values {
+            pieces::put(&self.tree, &mut batch, info.id, &bytes)?;
         }
         for quarantined in quarantined {
             batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
         }
         batch.insert(STATE, state(folded, digest));
+        // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
+        let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
         self.tree.apply_batch(batch)?;
         Ok(())
     }
@@ -135,16 +144,20 @@ impl Tiles {
         Ok(())
     }
 
-    fn value(&self, id: TileId) -> Result<Option<([u8; KEY], IVec)>, Error> {
-        let key = key(id);
-        Ok(self.tree.get(key)?.map(|value| (key, value)))
+    fn value(&self, id: TileId) -> Result<Option<Vec<u8>>, Error> {
+        let _whole = self.whole.read().unwrap_or_else(PoisonError::into_inner);
+        pieces::get(&self.tree, id)
+    }
+
+    fn changing(&self) -> MutexGuard<'_, ()> {
+        self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Source for Tiles {
     fn folded(&self, id: TileId) -> Result<Folded, Error> {
-        let Some((key, value)) = self.value(id)? else { return Ok(Folded::default()) };
-        let value = parse(&key, &value).ok_or_else(|| damaged(id, &"its checksum does not match"))?;
+        let Some(value) = self.value(id)? else { return Ok(Folded::default()) };
+        let value = parse(id, &value)?;
         let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
         let ledger = tile::decode_ledger(value.ledger).map_err(|e| damaged(id, &e))?;
         Ok(Folded { version: value.info.version, tile, ledger })
@@ -153,7 +166,6 @@ impl Source for Tiles {
 
 /// A tile in the bytes it is stored in.
 pub(super) struct Value {
-    key: [u8; KEY],
     bytes: Vec<u8>,
     pub(super) info: TileInfo,
 }
@@ -161,7 +173,7 @@ pub(super) struct Value {
 impl Value {
     /// Of its cells those count that are served when `publish` contributors are asked for.
     pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
-        let (key, encoded) = (key(id), tile::encode(&folded.tile));
+        let encoded = tile::encode(&folded.tile);
         let info = TileInfo {
             id,
             version: folded.version,
@@ -176,9 +188,9 @@ impl Value {
         bytes.extend_from_slice(&info.bytes.to_le_bytes());
         bytes.extend_from_slice(&encoded);
         bytes.extend_from_slice(&tile::encode_ledger(&folded.ledger));
-        let checksum = checksum(&key, &bytes);
+        let checksum = checksum(&key(id), &bytes);
         bytes[..4].copy_from_slice(&checksum.to_le_bytes());
-        Self { key, bytes, info }
+        Self { bytes, info }
     }
 }
 
@@ -221,10 +233,13 @@ struct Parsed<'a> {
     ledger: &'a [u8],
 }
 
-fn parse<'a>(key: &[u8], value: &'a [u8]) -> Option<Parsed<'a>> {
-    let id = id(key)?;
+fn parse(id: TileId, value: &[u8]) -> Result<Parsed<'_>, Error> {
+    parse_sound(id, value).ok_or_else(|| damaged(id, &"its checksum does not match"))
+}
+
+fn parse_sound(id: TileId, value: &[u8]) -> Option<Parsed<'_>> {
     let (head, body) = value.split_at_checked(HEAD)?;
-    if checksum(key, value).to_le_bytes() != head[..4] {
+    if checksum(&key(id), value).to_le_bytes() != head[..4] {
         return None;
     }
     let info = TileInfo {
@@ -251,43 +266,79 @@ fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
 mod tests {
     use super::super::key::stamp;
     use super::*;
+    use echofix_core::evidence::{CellHits, Pass, Share};
     use echofix_core::geo::Zone;
     use proptest::prelude::*;
 
+    fn id(x: i32) -> TileId {
+        TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x }
+    }
+
+    /// A tile in a version, of so many cells.
+    fn value(x: i32, version: u64, cells: u32) -> Value {
+        let mut folded = Folded { version, ..Folded::default() };
+        // Nothing that could be compressed away.
+        let noise = |at: u32| at.wrapping_mul(0x9e37_79b9) >> 8;
+        let hit = |at: u32| CellHits {
+            index: at * 13,
+            hits: 99,
+            offset_sum: [noise(at) % 25_000, noise(!at) % 25_000],
+        };
+        let share = Share::of_hits((0..cells).map(hit).collect());
+        folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
+        Value::new(id(x), &folded, 1)
+    }
+
     proptest! {
+        // Breaks it: leaving out the end of the value from the checksum, or skipping pieces that are not there.
         #[test]
-        fn a_changed_bit_of_a_value_is_noticed(at: prop::sample::Index, bit in 0..8_u8, of_state: bool) {
+        fn a_changed_lost_or_cut_piece_is_noticed(
+            at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
+        ) {
             let dir = tempfile::tempdir().unwrap();
             let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
-            let at_home = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x: -1 };
-            let value = Value::new(at_home, &Folded { version: 3, ..Folded::default() }, 1);
+            let value = value(-1, 3, 8000);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
-            let key = if of_state { STATE.to_vec() } else { key(at_home).to_vec() };
-            let mut bad = tiles.tree.get(&key).unwrap().unwrap().to_vec();
-            let at = at.index(bad.len());
+            let pieces: Vec<_> = tiles.tree.scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
+            prop_assert!(pieces.len() > 2);
+            let key = if of_state { IVec::from(STATE) } else { pieces[piece.index(pieces.len())].clone() };
+            let good = tiles.tree.get(&key).unwrap().unwrap();
+            let at = at.index(good.len());
+            let mut bad = good.to_vec();
             bad[at] ^= 1_u8 << bit;
-            tiles.tree.insert(&key, bad).unwrap();
-            prop_assert!(tiles.check().is_err());
-            prop_assert!(of_state || tiles.stored(at_home).is_err() && tiles.folded(at_home).is_err());
+            for bad in [Some(&bad[..]), Some(&good[..at]), None] {
+                match bad {
+                    Some(bad) => drop(tiles.tree.insert(&key, bad).unwrap()),
+                    None => drop(tiles.tree.remove(&key).unwrap()),
+                }
+                prop_assert!(tiles.check().is_err());
+                let damaged = |error| matches!(error, Some(Error::Damaged { .. }));
+                prop_assert!(of_state || damaged(tiles.stored(id(-1)).err()));
+                prop_assert!(of_state || damaged(tiles.folded(id(-1)).err()));
+            }
+            tiles.tree.insert(&key, good).unwrap();
+            prop_assert!(tiles.check().is_ok());
         }
     }
 
     #[test]
-    fn a_lost_or_older_tile_is_noticed() {
+    fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
         let dir = tempfile::tempdir().unwrap();
         let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
-        let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x };
-        let value = |x, version| Value::new(id(x), &Folded { version, ..Folded::default() }, 1);
-        let digest = stamp(&value(1, 3).info).wrapping_add(stamp(&value(2, 5).info));
-        tiles.put_all(vec![value(1, 3), value(2, 5)], &[], 5, digest).unwrap();
+        let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
+        tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        let kept = tiles.tree.remove(key(id(1))).unwrap().unwrap();
+        let (at, kept) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
+        tiles.tree.remove(&at).unwrap();
         assert!(tiles.check().is_err());
-        tiles.tree.insert(key(id(1)), kept).unwrap();
+        tiles.tree.insert(&at, kept).unwrap();
         assert!(tiles.check().is_ok());
-        tiles.tree.insert(key(id(1)), value(1, 2).bytes).unwrap();
+        tiles.tree.insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
+        assert!(tiles.check().is_err(), "a tile as it was kept before there were pieces");
+        tiles.tree.remove(key(id(1))).unwrap();
+        tiles.tree.insert(&at, value(1, 2, 1).bytes).unwrap();
         assert!(tiles.check().is_err());
     }
 }
