@@ -73,12 +73,8 @@ mod tests {
         use echofix_core::evidence::{CellHits, Pass, Share};
         use echofix_core::geo::Zone;
         let dir = tempfile::tempdir().unwrap();
-        let options = Options {
-            data_dir: dir.path().to_owned(),
-            cache_bytes: 1 << 20,
-            segment_bytes: 1 << 20,
-            policy: Policy::trusting(),
-        };
+        let options =
+            Options { data_dir: dir.path().to_owned(), segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = EmbeddedStore::open(&options).unwrap();
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 65_000, x: 12_000 };
         // A wall along a row of cells.

@@ -1,4 +1,4 @@
-//! The storage engine of one machine: the journal in files, the tiles in sled.
+//! The storage engine of one machine: the journal in files, the tiles in files of their own.
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
@@ -113,8 +113,8 @@ fn resume(dir: &DataDir, options: &Options, journal: Uuid, index: &Index) -> Res
     let nothing = Folder { on: None, applied: 0, folded: index.before() };
     let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == journal);
     let Some(Manifest { generation: number, applied, .. }) = manifest else { return Ok(nothing) };
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
+    let publish = options.policy.publish_contributors;
+    match Generation::open(&dir.generation(number), number, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
         Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
@@ -127,8 +127,8 @@ fn resume(dir: &DataDir, options: &Options, journal: Uuid, index: &Index) -> Res
 /// The empty generation of a new journal.
 fn first(dir: &DataDir, options: &Options, journal: Uuid) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
+    let publish = options.policy.publish_contributors;
+    let generation = Generation::create(&dir.generation(number), number, journal, publish)?;
     generation.load(&Base::default())?;
     Manifest { journal, generation: number, applied: 0 }.write(dir.root())?;
     Ok(Arc::new(generation))

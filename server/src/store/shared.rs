@@ -16,7 +16,6 @@ use super::{Error, Policy, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {
-    pub(super) cache_bytes: u64,
     pub(super) policy: Policy,
     pub(super) journal_id: Uuid,
     pub(super) journal: Journal,
@@ -46,7 +45,6 @@ impl Shared {
         (served, base): (Option<Arc<Generation>>, Base),
     ) -> Self {
         Self {
-            cache_bytes: options.cache_bytes,
             policy: options.policy,
             journal_id,
             journal,
