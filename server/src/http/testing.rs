@@ -116,6 +116,10 @@ impl MapStore for FakeStore {
         pseudonym.len() as u64
     }
 
+    fn lineage(&self) -> u64 {
+        0
+    }
+
     fn commit(&self, _: Upload) -> Result<Receipt, Error> {
         Err(only_read())
     }
@@ -361,6 +365,6 @@ pub fn an_upload() -> UploadEvent {
         detections_counted: 1000,
         detections_dropped: 3,
         tiles: 9,
-        agreement: Some(0.8),
+        epoch: 7,
     }
 }

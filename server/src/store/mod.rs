@@ -148,8 +148,8 @@ pub enum Receipt {
 /// A tile as it is served.
 #[derive(Debug, Clone)]
 pub struct StoredTile {
-    /// Epoch of the tile's last change. A version stands for the same evidence for ever; what is served of it
-    /// fades as the map's newest day moves on.
+    /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
+    /// served of it fades as the map's newest day moves on.
     pub version: u64,
     /// Its evidence.
     pub tile: Arc<Tile>,
@@ -240,6 +240,10 @@ fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {
 pub trait MapStore: Send + Sync {
     /// Keyed hash of a contributor's pseudonym; the key never leaves the store.
     fn contributor(&self, pseudonym: &str) -> u64;
+
+    /// Tells this history of the map from others that may give its versions to other tiles: drawn anew where a
+    /// backup is restored, and where the manifest was deleted for the map to go on in another way.
+    fn lineage(&self) -> u64;
 
     /// Writes an upload to the journal and syncs it, exactly once by its id. Folding follows in
     /// the background, see [`MapStore::progress`].

@@ -18,6 +18,7 @@ use super::{Error, Policy, Progress, State};
 pub(super) struct Shared {
     pub(super) policy: Policy,
     pub(super) journal_id: Uuid,
+    pub(super) lineage: u64,
     pub(super) journal: Journal,
     pub(super) index: Arc<Index>,
     pub(super) progress: watch::Sender<Progress>,
@@ -39,7 +40,7 @@ impl Shared {
     pub(super) fn new(
         dir: DataDir,
         options: &Options,
-        (journal_id, journal): (Uuid, Journal),
+        (journal_id, lineage, journal): (Uuid, u64, Journal),
         index: Arc<Index>,
         progress: watch::Sender<Progress>,
         (served, base): (Option<Arc<Generation>>, Base),
@@ -47,6 +48,7 @@ impl Shared {
         Self {
             policy: options.policy,
             journal_id,
+            lineage,
             journal,
             index,
             progress,

@@ -4,7 +4,7 @@
 //! - [`frame`]: the bytes of a file.
 //! - A value that was replaced stays in its file until the file is cleaned: what still counts of it is appended
 //!   again, and the file goes. That follows every put, so that the files come to no more than half as much again as
-//!   what counts, and two files.
+//!   what counts, and one file.
 //! - Files are synced when the next begins, before a cleaned one goes, and by [`TileLog::flush`]; a power cut takes
 //!   back some of the last puts.
 //!
@@ -26,8 +26,6 @@ use places::{Place, Places};
 
 use super::{Error, io_error};
 
-/// Size from which a file is followed by the next, bytes.
-const FILE_BYTES: u64 = 4 << 20;
 const WRITING: &str = "writing tiles";
 const READING: &str = "reading tiles";
 
@@ -139,7 +137,7 @@ impl TileLog {
     }
 
     fn append(&self, newest: &mut Newest, entries: &[Entry]) -> Result<(), Error> {
-        if newest.length >= FILE_BYTES {
+        if newest.length >= self.places().file_bytes() {
             newest.sync()?;
             *newest = begin(&self.dir, self.journal, newest.number + 1, &mut self.places_mut())?;
         }
@@ -159,7 +157,7 @@ impl TileLog {
     /// Removes files of which little counts any more, until what all take is in proportion.
     fn clean(&self, newest: &mut Newest) -> Result<(), Error> {
         loop {
-            let Some(worst) = self.places().to_be_cleaned(newest.number, FILE_BYTES) else { return Ok(()) };
+            let Some(worst) = self.places().to_be_cleaned(newest.number) else { return Ok(()) };
             let path = path(&self.dir, worst);
             let file = fs::read(&path).map_err(io_error(READING))?;
             let kept: Vec<Entry> = {

@@ -5,6 +5,9 @@ use std::ops::Range;
 
 use super::frame;
 
+/// Size from which a file is followed by the next, bytes: of a small map, and of a large one.
+const FILE_BYTES: [u64; 2] = [1 << 20, 32 << 20];
+
 /// Where a value lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
@@ -47,6 +50,12 @@ impl Places {
         self.by_key.keys().map(|key| key.to_vec()).collect()
     }
 
+    /// Size from which a file is followed by the next, bytes.
+    pub(super) fn file_bytes(&self) -> u64 {
+        let [least, most] = FILE_BYTES;
+        (self.sum.counts / 16).clamp(least, most)
+    }
+
     /// A file of some bytes begins.
     pub(super) fn begin(&mut self, file: u64, bytes: u64) {
         self.files.insert(file, Share { all: bytes, counts: 0 });
@@ -72,14 +81,16 @@ impl Places {
         }
     }
 
-    /// The file of which least counts, but the newest, when all together take more than half as much again as what
-    /// counts, and a file.
-    pub(super) fn to_be_cleaned(&self, newest: u64, file_bytes: u64) -> Option<u64> {
-        if self.sum.all <= self.sum.counts + self.sum.counts / 2 + file_bytes {
+    /// The file of which least counts, but the newest, when what does not count any more is more than half of what
+    /// does.
+    pub(super) fn to_be_cleaned(&self, newest: u64) -> Option<u64> {
+        let written = self.files.get(&newest).copied().unwrap_or_default();
+        let gone = (self.sum.all - written.all).saturating_sub(self.sum.counts - written.counts);
+        if gone <= self.sum.counts / 2 {
             return None;
         }
-        let old = self.files.iter().filter(|(number, share)| **number != newest && share.all > share.counts);
         let least = |share: &Share| (share.counts as f64 / share.all as f64 * 1e6) as u64;
+        let old = self.files.iter().filter(|(number, _)| **number != newest);
         old.min_by_key(|(_, share)| least(share)).map(|(number, _)| *number)
     }
 
