@@ -9,14 +9,14 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use echofix_core::evidence::{CellHits, Contribution, Share};
 use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::UploadRequest;
 use echofix_tests::mapping::{send, settled};
 use echofix_tests::service::Service;
-use echofix_tests::{command, crowd, grpc, http, town};
+use echofix_tests::{command, crowd, grpc, http, town, until};
 use rand::seq::index::sample;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -148,6 +148,13 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
     );
     let compact = ["map", "compact", "--before", "2149-01-01", "--http", &service.http, "--json"];
     assert!(command::echofix(compact).json()["epoch"].is_u64());
+    settled(&service).await;
+    until("the old tiles are gone", Duration::from_secs(30), async || {
+        let names =
+            fs::read_dir(service.data_dir()).expect("it is there").flatten().map(|entry| entry.file_name());
+        (names.filter(|name| name.to_string_lossy().starts_with("tiles-")).count() == 1).then_some(())
+    })
+    .await;
     let compacted = Sample::of(&service, uploads()).await;
     for Sample { uploads, tiles, live, .. } in &samples {
         assert!(*tiles <= 3 * live + FLOOR, "{uploads} uploads: {tiles} bytes on disk for {live} of tiles");
