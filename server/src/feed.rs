@@ -55,9 +55,9 @@ pub struct UploadEvent {
     pub detections_dropped: u64,
     /// Tiles that learn from it.
     pub tiles: usize,
-    /// Share of its detections that lie on structure the map already had, 0 to 1; absent where
-    /// there was no map.
-    pub agreement: Option<f64>,
+    /// Epoch from which on the map shows it, unless vetting keeps it out: then it is listed under this epoch in
+    /// quarantine. 0 when it was refused.
+    pub epoch: u64,
 }
 
 /// The two feeds.

@@ -72,13 +72,20 @@ pub async fn contribute(service: &Service, drive: &Drive) -> Vec<UploadResponse>
     answers
 }
 
-/// Waits until the map shows everything that was acknowledged; returns its epoch.
+/// Waits until the map shows everything that was acknowledged, as long as it goes on; returns its epoch.
 pub async fn settled(service: &Service) -> u64 {
-    until("the map shows all uploads", Duration::from_mins(1), async || {
-        let map = http::get(&format!("{}/api/v1/map", service.http)).json();
-        (map["state"] == "serving" && map["epoch"] == map["journaled"])
-            .then(|| map["epoch"].as_u64())
-            .flatten()
-    })
-    .await
+    let mut before = 0;
+    loop {
+        let (epoch, whole) = until("the map shows more uploads", Duration::from_mins(1), async || {
+            let map = http::get(&format!("{}/api/v1/map", service.http)).json();
+            let epoch = map["epoch"].as_u64()?;
+            let whole = map["state"] == "serving" && map["epoch"] == map["journaled"];
+            (whole || epoch > before).then_some((epoch, whole))
+        })
+        .await;
+        if whole {
+            return epoch;
+        }
+        before = epoch;
+    }
 }

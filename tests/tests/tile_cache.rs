@@ -14,10 +14,11 @@ use echofix_tests::command::echofix;
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, EVERYWHERE, Tiles};
 use echofix_tests::wiretap::Wiretap;
-use echofix_tests::{binary, grpc, mapping, town, until_blocking};
+use echofix_tests::{binary, crowd, grpc, mapping, town, until_blocking};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::Endpoint;
+use uuid::Uuid;
 
 fn open(dir: &Path) -> TileCache {
     TileCache::open(dir, Limits::default()).expect("the cache can be opened")
@@ -115,6 +116,40 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     mapping::settled(&service).await;
     let nothing = sync(&cache, &tap).await;
     assert_eq!((nothing.removed as usize, cache.versions().len(), cache.bytes()), (served.len(), 0, 0));
+}
+
+/// Catches a cache that keeps what a map showed before its backup was restored: breaks when versions go on where the
+/// backup ended, for then the same ones name other tiles.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cache_is_right_again_after_a_backup_was_restored() {
+    let mut service = Service::start_with(&["mapping.vet=false"]);
+    let zone = Zone::from_epsg(32614).expect("a zone of UTM");
+    let [east, north] = TileId { zone, x: 12_000, y: 65_000 }.origin();
+    let told = async |service: &Service, number: u64| {
+        let wall = (0..50).map(|i| [east + 1.0 + number as f64, north + 0.1 * f64::from(i)]);
+        let (id, contribution) = (Uuid::from_u64_pair(1, number), crowd::hits(zone, wall, 2));
+        let parts = crowd::upload(id, "mapper", 1_767_225_600_000_000, &contribution);
+        mapping::send(&mut grpc::mapping(service).await, &parts).await.expect("the upload counts");
+        mapping::settled(service).await
+    };
+    let folder = service.scratch();
+    let archive = folder.join("all.tar");
+    let cache = open(&folder.join("tiles"));
+    told(&service, 1).await;
+    echofix(["map", "backup", archive.to_str().expect("a path"), "--http", &service.http, "--json"]).json();
+    let lost = told(&service, 2).await;
+    assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 1);
+
+    service.kill();
+    fs::remove_dir_all(service.data_dir()).expect("it can be removed");
+    fs::create_dir(service.data_dir()).expect("a folder can be made");
+    let unpacked = Command::new("tar").arg("xf").arg(&archive).arg("-C").arg(service.data_dir()).status();
+    assert!(unpacked.expect("tar can be run").success());
+    service.start_again();
+    assert_eq!(told(&service, 3).await, lost, "the epochs count on from the backup");
+    assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 1);
+    assert_is(&cache, &tiles::all(&service).await);
+    assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 0);
 }
 
 /// Catches a route that lacks tiles of the area around it.

@@ -122,7 +122,7 @@ export function showUploads(uploads) {
         el('b', { textContent: words(upload.outcome) }),
         el('span', { textContent: upload.detections_counted ? `${count(upload.detections_counted)} det` : '' }),
         el('span', { textContent: upload.tiles ? `${upload.tiles} tiles` : '' }),
-        el('span', { textContent: upload.agreement == null ? 'new' : percent(upload.agreement) }),
+        el('span', { textContent: upload.epoch ? `epoch ${upload.epoch}` : '' }),
         el('time', { textContent: ago(upload.answered_us) }),
       ),
     );

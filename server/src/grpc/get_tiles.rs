@@ -33,6 +33,7 @@ pub(super) type Answer = ReceiverStream<Result<GetTilesResponse, Status>>;
 
 /// What to send.
 struct Plan {
+    lineage: u64,
     /// Read before any tile: every tile is at least as new.
     epoch: u64,
     send: Vec<TileId>,
@@ -89,7 +90,7 @@ async fn send(
             }
         };
         summary.sent += 1;
-        for part in parts(id, &tile) {
+        for part in parts(id, &tile, plan.lineage) {
             let message = GetTilesResponse { part: Some(part) };
             if sender.send_timeout(Ok(message), stall).await.is_err() {
                 return;
@@ -101,11 +102,16 @@ async fn send(
     let _ = sender.send_timeout(Ok(last), stall).await;
 }
 
+/// A version as callers know it: one of another lineage is another.
+fn told(lineage: u64, version: u64) -> u64 {
+    lineage.wrapping_add(version)
+}
+
 /// A tile as messages, each made when it is its turn.
-fn parts(id: TileId, tile: &StoredTile) -> impl Iterator<Item = Part> {
+fn parts(id: TileId, tile: &StoredTile, lineage: u64) -> impl Iterator<Item = Part> {
     let encoded = tile.encoded();
     let first = TileData {
-        version: Some(v1::TileVersion { tile: Some(tile_id(id)), version: tile.version }),
+        version: Some(v1::TileVersion { tile: Some(tile_id(id)), version: told(lineage, tile.version) }),
         encoded: encoded[..encoded.len().min(MAX_PIECE)].to_vec(),
         encoded_bytes: encoded.len() as u64,
     };
@@ -117,11 +123,11 @@ fn parts(id: TileId, tile: &StoredTile) -> impl Iterator<Item = Part> {
 }
 
 fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {
-    let epoch = store.progress().borrow().epoch;
+    let (epoch, lineage) = (store.progress().borrow().epoch, store.lineage());
     let have = have(request.have).map_err(|violation| status::invalid(&violation))?;
     let selection = required(request.selection, "selection").map_err(|v| status::invalid(&v))?;
     let (mut plan, mut asked) =
-        (Plan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
+        (Plan { lineage, epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
     let found = match selection {
         Selection::Tiles(list) => {
             asked.extend(ids(&list.ids, "tiles.ids").map_err(|violation| status::invalid(&violation))?);
@@ -131,7 +137,8 @@ fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> 
         }
         Selection::Area(area) => area::tiles(store, &area)?,
     };
-    let found: BTreeMap<TileId, u64> = found.into_iter().map(|info| (info.id, info.version)).collect();
+    let found: BTreeMap<TileId, u64> =
+        found.into_iter().map(|info| (info.id, told(lineage, info.version))).collect();
     asked.extend(found.keys());
     for id in &asked {
         match (found.get(id), have.get(id)) {

@@ -21,7 +21,7 @@ use uuid::Uuid;
 use super::violation::Violation;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
-use crate::mapping::{self, MappingConfig};
+use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, Outcome};
 use crate::store::{MapStore, Receipt, Upload};
 use receive::{Body, Received};
@@ -41,12 +41,6 @@ pub struct MappingApi {
     places: Arc<Semaphore>,
     /// The longest silence of a caller.
     stall: Duration,
-}
-
-/// What came of an upload, for the feed.
-struct Told {
-    response: UploadResponse,
-    agreement: Option<f64>,
 }
 
 impl MappingApi {
@@ -87,33 +81,26 @@ impl MappingApi {
         .await?;
         self.metrics.commit_seconds.observe(began.elapsed().as_secs_f64());
         self.publish(id, &outcome);
-        outcome.map(|told| told.response).map_err(|error| error.status())
+        outcome.map_err(|error| error.status())
     }
 
     /// Checks a received upload and journals it.
-    fn count_in(&self, received: Received) -> Result<Told, Error> {
+    fn count_in(&self, received: Received) -> Result<UploadResponse, Error> {
         let Received { id, contributor, day, body } = received;
         if let Some(receipt) = self.store.counted(id)? {
-            return repeated(receipt, None);
+            return repeated(receipt);
         }
         let forget_before = self.oldest_day(day)?;
         let contributed = match body {
             Body::Scans(submission) => contribute(submission, &self.config.limits())?,
             Body::Evidence(evidence) => evidence.checked(&self.config)?,
         };
-        // Only told, never decided by: an upload does not fail for it.
-        let agreement = mapping::agreement(&*self.store, &contributed.contribution).unwrap_or_else(|error| {
-            tracing::warn!(%error, "an upload cannot be compared with the map");
-            None
-        });
         let response = response(id, &contributed);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.contribution, response.encode_to_vec());
         match self.store.commit(Upload { id, pass, forget_before, contribution, answer })? {
-            Receipt::Counted { epoch } => {
-                Ok(Told { response: UploadResponse { epoch, ..response }, agreement })
-            }
-            duplicate @ Receipt::Duplicate { .. } => repeated(duplicate, agreement),
+            Receipt::Counted { epoch } => Ok(UploadResponse { epoch, ..response }),
+            duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
         }
     }
 
@@ -140,20 +127,20 @@ impl MappingApi {
         self.metrics.uploads.get_or_create(&Outcome { outcome }).inc();
     }
 
-    fn publish(&self, id: Uuid, outcome: &Result<Told, Error>) {
+    fn publish(&self, id: Uuid, outcome: &Result<UploadResponse, Error>) {
         let word = match outcome {
-            Ok(told) if told.response.duplicate => "DUPLICATE",
+            Ok(response) if response.duplicate => "DUPLICATE",
             Ok(_) => "COUNTED",
             Err(error) => error.reason(),
         };
         self.count(word);
         let nothing = UploadResponse::default();
-        let (response, agreement) = match outcome {
-            Ok(told) => (&told.response, told.agreement),
+        let response = match outcome {
+            Ok(response) => response,
             Err(error) => {
                 // Not which: ids tell when they were made.
                 tracing::info!(reason = word, %error, "upload refused");
-                (&nothing, None)
+                &nothing
             }
         };
         let dropped = response.dropped.unwrap_or_default();
@@ -164,7 +151,7 @@ impl MappingApi {
             detections_counted: response.detections_counted,
             detections_dropped: dropped.too_slow + dropped.too_far + dropped.moving + dropped.without_pose,
             tiles: response.tiles.len(),
-            agreement,
+            epoch: response.epoch,
         });
     }
 }
@@ -192,11 +179,11 @@ fn response(id: Uuid, contributed: &Contributed) -> UploadResponse {
 }
 
 /// The answer that was given the first time.
-fn repeated(receipt: Receipt, agreement: Option<f64>) -> Result<Told, Error> {
+fn repeated(receipt: Receipt) -> Result<UploadResponse, Error> {
     let (Receipt::Duplicate { epoch, .. } | Receipt::Counted { epoch }) = receipt;
     let answer = if let Receipt::Duplicate { answer, .. } = receipt { answer } else { Vec::new() };
     let first = UploadResponse::decode(&answer[..])?;
-    Ok(Told { response: UploadResponse { duplicate: true, epoch, ..first }, agreement })
+    Ok(UploadResponse { duplicate: true, epoch, ..first })
 }
 
 /// Why an upload was not counted.

@@ -116,6 +116,10 @@ impl MapStore for FakeStore {
         pseudonym.len() as u64
     }
 
+    fn lineage(&self) -> u64 {
+        0
+    }
+
     fn commit(&self, _: Upload) -> Result<Receipt, Error> {
         Err(only_read())
     }
@@ -275,8 +279,7 @@ impl Kept {
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options =
-            Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
+        let options = Options { data_dir, segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {
@@ -362,6 +365,6 @@ pub fn an_upload() -> UploadEvent {
         detections_counted: 1000,
         detections_dropped: 3,
         tiles: 9,
-        agreement: Some(0.8),
+        epoch: 7,
     }
 }

@@ -1,4 +1,4 @@
-//! The storage engine of one machine: the journal in files, the tiles in sled.
+//! The storage engine of one machine: the journal in files, the tiles in files of their own.
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
@@ -49,9 +49,14 @@ impl EmbeddedStore {
         if base.last < index.before() {
             return Err(build::uncovered(index.before(), base.last));
         }
-        let mut folder = resume(&dir, options, found.id(), &index)?;
+        let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
+        let lineage = match &manifest {
+            Some(manifest) => manifest.lineage,
+            None => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
+        };
+        let mut folder = resume(&dir, options, manifest, &index)?;
         if folder.on.is_none() && index.newest() == 0 {
-            folder.on = Some(first(&dir, options, found.id())?);
+            folder.on = Some(first(&dir, options, found.id(), lineage)?);
         }
         dir.remove_all_but(folder.on.as_ref().map(|generation| generation.number))?;
         let end = index.newest();
@@ -70,7 +75,7 @@ impl EmbeddedStore {
         let journal_id = found.id();
         let journal =
             Journal::start(&dir.journal(), found, index.newest_day(), options.segment_bytes, deliver)?;
-        let (journal, served) = ((journal_id, journal), (folder.on.clone(), base.clone()));
+        let (journal, served) = ((journal_id, lineage, journal), (folder.on.clone(), base.clone()));
         let shared = Arc::new(Shared::new(dir, options, journal, index, progress, served));
         if folder.on.is_some() && folder.applied >= shared.index.newest_control() {
             build::forget_settled(&shared, base)?;
@@ -109,12 +114,16 @@ impl EmbeddedStore {
 }
 
 /// Opens the generation that the manifest names. One that is damaged or gone is made anew.
-fn resume(dir: &DataDir, options: &Options, journal: Uuid, index: &Index) -> Result<Folder, Error> {
+fn resume(
+    dir: &DataDir,
+    options: &Options,
+    manifest: Option<Manifest>,
+    index: &Index,
+) -> Result<Folder, Error> {
     let nothing = Folder { on: None, applied: 0, folded: index.before() };
-    let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == journal);
-    let Some(Manifest { generation: number, applied, .. }) = manifest else { return Ok(nothing) };
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
+    let Some(Manifest { generation: number, applied, journal, .. }) = manifest else { return Ok(nothing) };
+    let publish = options.policy.publish_contributors;
+    match Generation::open(&dir.generation(number), number, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
         Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
@@ -125,12 +134,12 @@ fn resume(dir: &DataDir, options: &Options, journal: Uuid, index: &Index) -> Res
 }
 
 /// The empty generation of a new journal.
-fn first(dir: &DataDir, options: &Options, journal: Uuid) -> Result<Arc<Generation>, Error> {
+fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
+    let publish = options.policy.publish_contributors;
+    let generation = Generation::create(&dir.generation(number), number, journal, publish)?;
     generation.load(&Base::default())?;
-    Manifest { journal, generation: number, applied: 0 }.write(dir.root())?;
+    Manifest { journal, generation: number, applied: 0, lineage }.write(dir.root())?;
     Ok(Arc::new(generation))
 }
 
@@ -154,6 +163,10 @@ fn journal_is_short(folded: u64, end: u64) -> Error {
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
         self.shared.dir.contributor(pseudonym)
+    }
+
+    fn lineage(&self) -> u64 {
+        self.shared.lineage
     }
 
     fn commit(&self, upload: Upload) -> Result<Receipt, Error> {

@@ -2,13 +2,13 @@
 //!
 //! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
 //! from the journal in its order, and can be folded again from nothing. The embedded default keeps
-//! the journal in checksummed segment files and the tiles in sled.
+//! the journal in checksummed segment files and the tiles in a log of their own.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `base` (what stands for settled records), `tiles` (sled),
+//!   `exclusion` (which of them count), `base` (what stands for settled records), `tile_log`, `key` and `tiles`,
 //!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
@@ -48,6 +48,7 @@ mod stream;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod tile_log;
 mod tiles;
 mod verify;
 mod vetting;
@@ -81,9 +82,6 @@ pub enum Error {
         /// The system's words.
         source: std::io::Error,
     },
-    /// The tile store refused.
-    #[error("tile store: {0}")]
-    Tiles(#[from] sled::Error),
     /// Stored bytes do not pass their checks.
     #[error("{what} is damaged: {reason}")]
     Damaged {
@@ -150,8 +148,8 @@ pub enum Receipt {
 /// A tile as it is served.
 #[derive(Debug, Clone)]
 pub struct StoredTile {
-    /// Epoch of the tile's last change. A version stands for the same evidence for ever; what is served of it
-    /// fades as the map's newest day moves on.
+    /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
+    /// served of it fades as the map's newest day moves on.
     pub version: u64,
     /// Its evidence.
     pub tile: Arc<Tile>,
@@ -242,6 +240,10 @@ fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {
 pub trait MapStore: Send + Sync {
     /// Keyed hash of a contributor's pseudonym; the key never leaves the store.
     fn contributor(&self, pseudonym: &str) -> u64;
+
+    /// Tells this history of the map from others that may give its versions to other tiles: drawn anew where a
+    /// backup is restored, and where the manifest was deleted for the map to go on in another way.
+    fn lineage(&self) -> u64;
 
     /// Writes an upload to the journal and syncs it, exactly once by its id. Folding follows in
     /// the background, see [`MapStore::progress`].

@@ -16,9 +16,9 @@ use super::{Error, Policy, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {
-    pub(super) cache_bytes: u64,
     pub(super) policy: Policy,
     pub(super) journal_id: Uuid,
+    pub(super) lineage: u64,
     pub(super) journal: Journal,
     pub(super) index: Arc<Index>,
     pub(super) progress: watch::Sender<Progress>,
@@ -40,15 +40,15 @@ impl Shared {
     pub(super) fn new(
         dir: DataDir,
         options: &Options,
-        (journal_id, journal): (Uuid, Journal),
+        (journal_id, lineage, journal): (Uuid, u64, Journal),
         index: Arc<Index>,
         progress: watch::Sender<Progress>,
         (served, base): (Option<Arc<Generation>>, Base),
     ) -> Self {
         Self {
-            cache_bytes: options.cache_bytes,
             policy: options.policy,
             journal_id,
+            lineage,
             journal,
             index,
             progress,

@@ -7,9 +7,6 @@ use super::fold::unreadable;
 use super::generation::Generation;
 use super::{Error, entry};
 
-/// Attempts to read all tiles while none of them changes.
-const ATTEMPTS: usize = 5;
-
 /// What a verification found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Verified {
@@ -93,15 +90,8 @@ impl EmbeddedStore {
 }
 
 fn verify_tiles(generation: &Generation, found: &mut Verified) {
-    let mut outcome = Ok(0);
-    for _ in 0..ATTEMPTS {
-        outcome = generation.tiles.check().map(|(catalog, _)| catalog.all().count() as u64);
-        if outcome.is_ok() {
-            break;
-        }
-    }
-    match outcome {
-        Ok(tiles) => found.tiles = tiles,
+    match generation.tiles.check() {
+        Ok((catalog, _)) => found.tiles = catalog.all().count() as u64,
         Err(reason) => found.damage.push(format!("the tiles: {reason}")),
     }
 }

@@ -103,6 +103,27 @@ fn a_backup_is_the_store_as_it_was() {
     assert!(matches!(restored.commit(uploads[15].clone()).unwrap(), Receipt::Duplicate { .. }));
 }
 
+/// Breaks it: a lineage that is drawn at every start, or that comes along with a backup.
+#[test]
+fn a_restored_backup_is_of_another_lineage_and_a_restart_or_a_rebuild_is_not() {
+    let (dir, copy) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let store = open(dir.path());
+    commit_all(&store, &some_uploads(3));
+    let lineage = store.lineage();
+    let mut archive = Vec::new();
+    store.backup(&mut archive).unwrap();
+    store.rollback(1).unwrap();
+    caught_up(&store);
+    drop(store);
+    assert_eq!(open(dir.path()).lineage(), lineage);
+    std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
+    let store = open(dir.path());
+    caught_up(&store);
+    assert_eq!(store.lineage(), lineage);
+    unpack(&archive, copy.path());
+    assert_ne!(open(copy.path()).lineage(), lineage);
+}
+
 #[test]
 fn other_tools_read_a_backup() {
     let dir = tempfile::tempdir().unwrap();
