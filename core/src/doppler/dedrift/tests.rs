@@ -78,7 +78,9 @@ fn a_stop_corrects_nothing() {
     let odometry = Trajectory::new(way).unwrap();
     // While it stands, its gate lets no scan through.
     let mut scans: Vec<_> = seen().into_iter().filter(|scan| scan.time_us < 850_000).collect();
-    scans.iter_mut().for_each(|scan| scan.time_us = after(scan.time_us));
+    for scan in &mut scans {
+        scan.time_us = after(scan.time_us);
+    }
     let config = (EgoConfig::default(), OdometryBias::default());
     let found = dedrifted(&scans, &mounts(), &odometry, &config.0, &config.1).unwrap();
     let (metres, radians) = end_error(&found.trajectory, &odometry);
