@@ -117,12 +117,17 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
     for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
         let neighbour = TileId { y: id.y + dy, x: id.x + dx, ..id };
         let Some(tile) = tile_at(neighbour) else { continue };
-        placed.extend(tile.cells().iter().filter_map(|(index, cell)| {
-            let x = i64::from(dx) * side + i64::from(*index) % side;
-            let y = i64::from(dy) * side + i64::from(*index) / side;
-            let [fx, fy] = cell.centroid();
-            let near = inside.contains(&x) && inside.contains(&y);
-            near.then_some(([x as f64 + fx, y as f64 + fy], cell))
+        let first = [i64::from(dx) * side, i64::from(dy) * side];
+        // Cells are in the order of their rows: of a neighbour few are looked at.
+        let before =
+            |y: i64| tile.cells().partition_point(|(index, _)| i64::from(*index) / side + first[1] < y);
+        let near = &tile.cells()[before(inside.start)..before(inside.end)];
+        placed.extend(near.iter().filter_map(|(index, cell)| {
+            let (x, y) = (first[0] + i64::from(*index) % side, first[1] + i64::from(*index) / side);
+            inside.contains(&x).then(|| {
+                let [fx, fy] = cell.centroid();
+                ([x as f64 + fx, y as f64 + fy], cell)
+            })
         }));
     }
     placed
@@ -171,8 +176,9 @@ fn smoothed(placed: &[([f64; 2], &Cell)]) -> Box<[u8]> {
     let kernels = Kernels::new();
     let reach = kernels.reach as i64;
     for ([x, y], cell) in placed {
-        let (kx, ky) = (kernels.at(x.rem_euclid(1.0)), kernels.at(y.rem_euclid(1.0)));
-        let (x0, y0) = (x.floor() as i64 - reach, y.floor() as i64 - reach);
+        let (left, south) = (x.floor(), y.floor());
+        let (kx, ky) = (kernels.at(x - left), kernels.at(y - south));
+        let (x0, y0) = (left as i64 - reach, south as i64 - reach);
         let columns = (-x0).max(0)..(side - x0).min(2 * reach + 1);
         let rows = (-y0).max(0)..(side - y0).min(2 * reach + 1);
         if columns.is_empty() {
