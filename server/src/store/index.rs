@@ -15,7 +15,7 @@ use super::journal::{Position, Written};
 /// Bytes of records handed out for folding at a time, but for a single larger one.
 const FOLD_BYTES: u64 = 8 << 20;
 /// Records handed out for folding at a time: the map shows them once all are folded.
-const FOLD_RECORDS: usize = 256;
+const FOLD_RECORDS: usize = 64;
 
 /// What the journal holds, in memory.
 #[derive(Default)]
