@@ -14,6 +14,8 @@ use super::journal::{Position, Written};
 
 /// Bytes of records handed out for folding at a time, but for a single larger one.
 const FOLD_BYTES: u64 = 8 << 20;
+/// Records handed out for folding at a time: the map shows them once all are folded.
+const FOLD_RECORDS: usize = 64;
 
 /// What the journal holds, in memory.
 #[derive(Default)]
@@ -347,6 +349,6 @@ impl State {
             bytes += u64::from(noted.at.length);
             fits
         });
-        group.map(|(noted, number)| Written { number, at: noted.at }).collect()
+        group.take(FOLD_RECORDS).map(|(noted, number)| Written { number, at: noted.at }).collect()
     }
 }

@@ -188,7 +188,7 @@ fn tiles_that_are_lost_or_of_another_time_are_folded_again() {
     let all = || {
         let log = &store.shared.served().unwrap().tiles.log;
         let value = |key: Vec<u8>| (key.clone(), log.get(&key).unwrap().unwrap());
-        log.keys().into_iter().filter(|key| key != tiles::STATE).map(value).collect::<Vec<_>>()
+        log.keys(&[]).into_iter().filter(|key| key != tiles::STATE).map(value).collect::<Vec<_>>()
     };
     let old = all();
     commit_all(&store, &uploads[10..]);

@@ -47,7 +47,7 @@ impl Tiles {
         let _unchanged = self.log.paused();
         let mut catalog = Catalog::default();
         let mut state = None;
-        for key in self.log.keys() {
+        for key in self.log.keys(&[]) {
             let value = self.log.get(&key).map_err(|error| error.to_string())?.unwrap_or_default();
             if let Some(id) = id_of(&key) {
                 catalog.put(parse(id, &value).map_err(|error| error.to_string())?.info);
@@ -101,7 +101,7 @@ impl Tiles {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
         };
-        let notes = self.log.keys().into_iter().filter(|key| quarantine::is_key(key)).map(|key| {
+        let notes = self.log.keys(quarantine::PREFIX).into_iter().map(|key| {
             let value = self.log.get(&key)?.unwrap_or_default();
             quarantine::decode(&key, &value).ok_or_else(damaged)
         });

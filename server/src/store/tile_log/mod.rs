@@ -5,8 +5,8 @@
 //! - A value that was replaced stays in its file until the file is cleaned: what still counts of it is appended
 //!   again, and the file goes. That follows every put, so that the files come to no more than half as much again as
 //!   what counts, and one file.
-//! - Files are synced when the next begins, before a cleaned one goes, and by [`TileLog::flush`]; a power cut takes
-//!   back some of the last puts.
+//! - The newest file is synced every half a second of puts, before the next begins, before a cleaned one goes, and by
+//!   [`TileLog::flush`]; a power cut takes back the puts since.
 //!
 //! Nothing is kept open but the file that is written, and nothing in memory but where each value lies.
 
@@ -17,6 +17,7 @@ use std::fs::{self, File, OpenOptions};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
@@ -26,6 +27,8 @@ use places::{Place, Places};
 
 use super::{Error, io_error};
 
+/// Puts that a power cut may take back were made within this time.
+const SYNC_EVERY: Duration = Duration::from_millis(500);
 const WRITING: &str = "writing tiles";
 const READING: &str = "reading tiles";
 
@@ -42,6 +45,7 @@ pub(super) struct Newest {
     number: u64,
     file: File,
     length: u64,
+    synced: Instant,
 }
 
 impl TileLog {
@@ -88,7 +92,7 @@ impl TileLog {
         let (number, length) = end.ok_or_else(|| damaged(dir, "there are no tiles in it"))?;
         let file = OpenOptions::new().write(true).open(path(dir, number)).map_err(io_error(WRITING))?;
         file.set_len(length).map_err(io_error(WRITING))?;
-        let newest = Mutex::new(Newest { number, file, length });
+        let newest = Mutex::new(Newest { number, file, length, synced: Instant::now() });
         Ok(Self { dir: dir.to_owned(), journal, places: RwLock::new(places), newest })
     }
 
@@ -107,9 +111,9 @@ impl TileLog {
         Ok(Some(value))
     }
 
-    /// All keys, in order.
-    pub(super) fn keys(&self) -> Vec<Vec<u8>> {
-        self.places().keys()
+    /// The keys that begin so, in order.
+    pub(super) fn keys(&self, prefix: &[u8]) -> Vec<Vec<u8>> {
+        self.places().keys(prefix)
     }
 
     /// Puts values in place of what was there, all or none; of two under one key the later one counts.
@@ -119,6 +123,9 @@ impl TileLog {
     pub(super) fn put(&self, entries: &[Entry]) -> Result<(), Error> {
         let mut newest = self.paused();
         self.append(&mut newest, entries)?;
+        if newest.synced.elapsed() > SYNC_EVERY {
+            newest.sync()?;
+        }
         self.clean(&mut newest)
     }
 
@@ -192,7 +199,8 @@ impl TileLog {
 }
 
 impl Newest {
-    fn sync(&self) -> Result<(), Error> {
+    fn sync(&mut self) -> Result<(), Error> {
+        self.synced = Instant::now();
         self.file.sync_data().map_err(io_error("syncing tiles"))
     }
 }
@@ -203,7 +211,7 @@ fn begin(dir: &Path, journal: Uuid, number: u64, places: &mut Places) -> Result<
     file.write_all_at(&frame::header(journal, number), 0).map_err(io_error(WRITING))?;
     file.sync_data().and_then(|()| File::open(dir)?.sync_all()).map_err(io_error("syncing tiles"))?;
     places.begin(number, HEADER as u64);
-    Ok(Newest { number, file, length: HEADER as u64 })
+    Ok(Newest { number, file, length: HEADER as u64, synced: Instant::now() })
 }
 
 fn path(dir: &Path, number: u64) -> PathBuf {

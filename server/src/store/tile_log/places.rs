@@ -1,7 +1,7 @@
 //! Where the values lie, and how much of each file counts.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{Bound, Range};
 
 use super::frame;
 
@@ -46,8 +46,11 @@ impl Places {
         self.by_key.get(key).copied()
     }
 
-    pub(super) fn keys(&self) -> Vec<Vec<u8>> {
-        self.by_key.keys().map(|key| key.to_vec()).collect()
+    /// The keys that begin so, in order.
+    pub(super) fn keys(&self, prefix: &[u8]) -> Vec<Vec<u8>> {
+        let from = (Bound::Included(prefix), Bound::Unbounded);
+        let found = self.by_key.range::<[u8], _>(from).map(|(key, _)| key.to_vec());
+        found.take_while(|key| key.starts_with(prefix)).collect()
     }
 
     /// Size from which a file is followed by the next, bytes.
