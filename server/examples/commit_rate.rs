@@ -70,8 +70,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [file, flushed] = plain(&beside, zone)?;
     std::fs::remove_dir_all(&beside)?;
     println!("one at a time: a plain file with fdatasync {file:.0}/s, plain sled with flush {flushed:.0}/s");
-    let store =
-        EmbeddedStore::open(&Options { data_dir, segment_bytes: 64 << 20, policy: Policy::trusting() })?;
+    let store = EmbeddedStore::open(&Options {
+        data_dir,
+        cache_bytes: 256 << 20,
+        segment_bytes: 64 << 20,
+        policy: Policy::trusting(),
+    })?;
     for threads in [1, 4, 16, 64] {
         let before = *store.progress().borrow();
         let began = Instant::now();

@@ -9,6 +9,7 @@ impl Config {
         let positive = "must be above 0";
         let within = |value: f64, most: f64| value > 0.0 && value <= most;
         let rules = [
+            ("store.cache_mib", store.cache_mib > 0, positive),
             ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
             ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
             ("locating.queue", locating.queue <= 4096, "must be at most 4096"),

@@ -90,6 +90,8 @@ pub struct Listen {
 pub struct StoreConfig {
     /// The data directory.
     pub data_dir: PathBuf,
+    /// Memory for the tile store's cache, MiB.
+    pub cache_mib: u64,
     /// Size from which a journal segment is followed by the next, MiB.
     pub segment_mib: u64,
 }

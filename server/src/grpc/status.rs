@@ -52,7 +52,7 @@ pub fn store(error: &store::Error) -> Status {
             // The words name files of the machine; the vehicle only needs to know when to come again.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))
         }
-        store::Error::Damaged { .. } | store::Error::InUse(_) => {
+        store::Error::Tiles(_) | store::Error::Damaged { .. } | store::Error::InUse(_) => {
             tracing::error!(%error, "the store fails");
             Status::internal("stored data cannot be read")
         }

@@ -279,7 +279,8 @@ impl Kept {
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options = Options { data_dir, segment_bytes: 1 << 20, policy: Policy::trusting() };
+        let options =
+            Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {

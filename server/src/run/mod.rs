@@ -113,6 +113,7 @@ impl Server {
         let dir = config.store.data_dir.clone();
         let options = Options {
             data_dir: dir.clone(),
+            cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
             policy: config.mapping.policy(),
         };

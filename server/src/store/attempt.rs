@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::Error;
 
-/// The outcome of work that may panic. What it left in memory must
+/// The outcome of work that may panic, as sled does on some damaged files. What it left in memory must
 /// not be used.
 pub(super) fn caught<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, String> {
     match catch_unwind(AssertUnwindSafe(work)) {

@@ -53,7 +53,7 @@ pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
     let Some(base) = settled_base(shared, applied, &mut told)? else { return Ok(None) };
     let number = shared.dir.next_generation()?;
     let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
-    let fresh = Generation::create(&path, number, shared.journal_id, publish)?;
+    let fresh = Generation::create(&path, number, shared.cache_bytes, shared.journal_id, publish)?;
     reached(shared, Step::Created)?;
     let outcome = fill(shared, &fresh, &base, applied, &mut told);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
@@ -157,7 +157,7 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     settles.retain(|(number, _)| *number <= applied);
     let Some((_, newest)) = settles.last().copied() else { return Ok(Some(base)) };
     let (path, publish) = (shared.dir.scratch(), shared.policy.publish_contributors);
-    let scratch = Generation::create(&path, 0, shared.journal_id, publish)?;
+    let scratch = Generation::create(&path, 0, shared.cache_bytes, shared.journal_id, publish)?;
     // Its ledgers must not stay on disk.
     scratch.retire();
     scratch.load(&base)?;

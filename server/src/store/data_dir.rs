@@ -6,7 +6,7 @@
 //! journal/   the source of truth
 //! base-<n>   the source of truth for the records up to n that were settled
 //! manifest   which tiles are served
-//! tiles-<n>/ a generation of tiles; folded from base and journal, may be deleted while no server runs
+//! tiles-<n>/ sled, a generation of tiles; folded from base and journal, may be deleted while no server runs
 //! ```
 
 use std::fs::{self, File, OpenOptions, TryLockError};

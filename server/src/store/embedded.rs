@@ -1,4 +1,4 @@
-//! The storage engine of one machine: the journal in files, the tiles in files of their own.
+//! The storage engine of one machine: the journal in files, the tiles in sled.
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
@@ -122,8 +122,8 @@ fn resume(
 ) -> Result<Folder, Error> {
     let nothing = Folder { on: None, applied: 0, folded: index.before() };
     let Some(Manifest { generation: number, applied, journal, .. }) = manifest else { return Ok(nothing) };
-    let publish = options.policy.publish_contributors;
-    match Generation::open(&dir.generation(number), number, journal, publish) {
+    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
+    match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
         Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
@@ -136,8 +136,8 @@ fn resume(
 /// The empty generation of a new journal.
 fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
-    let publish = options.policy.publish_contributors;
-    let generation = Generation::create(&dir.generation(number), number, journal, publish)?;
+    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
+    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
     generation.load(&Base::default())?;
     Manifest { journal, generation: number, applied: 0, lineage }.write(dir.root())?;
     Ok(Arc::new(generation))

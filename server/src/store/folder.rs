@@ -83,7 +83,7 @@ impl Folder {
         Ok(true)
     }
 
-    /// After a failure nobody knows what was kept.
+    /// After a failure nobody knows what sled kept.
     fn look_again(&mut self, shared: &Shared) {
         let Some(on) = &self.on else { return };
         match on.look_again() {

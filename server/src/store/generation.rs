@@ -5,11 +5,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::Duration;
 
 use echofix_core::geo::TileId;
 use echofix_core::tile;
 use uuid::Uuid;
 
+use super::attempt::caught;
 use super::base::Base;
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
@@ -19,6 +21,8 @@ use super::{Error, io_error};
 
 /// Tiles written at once when many are.
 const BATCH: usize = 64;
+/// Attempts to remove a directory that sled's threads are just leaving.
+const REMOVALS: usize = 100;
 
 /// Tiles on disk and their catalog in memory.
 pub(super) struct Generation {
@@ -27,6 +31,7 @@ pub(super) struct Generation {
     /// See [`super::Policy::publish_contributors`].
     publish: u8,
     catalog: RwLock<Catalog>,
+    /// Declared last: goes when sled is closed.
     dir: Dir,
 }
 
@@ -40,35 +45,59 @@ impl Drop for Dir {
         if !self.retired.load(Ordering::Acquire) {
             return;
         }
-        match fs::remove_dir_all(&self.path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                tracing::warn!(path = %self.path.display(), %error, "old tiles could not be removed; the next start does");
+        for _ in 0..REMOVALS {
+            match fs::remove_dir_all(&self.path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                _ => return,
             }
-            _ => {}
         }
+        tracing::warn!(path = %self.path.display(), "old tiles could not be removed; the next start does");
     }
 }
 
 impl Generation {
     /// A new, empty generation; what is in its place is removed.
-    pub(super) fn create(path: &Path, number: u64, journal: Uuid, publish: u8) -> Result<Self, Error> {
+    pub(super) fn create(
+        path: &Path,
+        number: u64,
+        cache_bytes: u64,
+        journal: Uuid,
+        publish: u8,
+    ) -> Result<Self, Error> {
         match fs::remove_dir_all(path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(io_error("removing old tiles")(error));
             }
             _ => {}
         }
-        let tiles = Tiles::create(path, journal)?;
+        let tiles = Tiles::open(path, cache_bytes)?;
+        tiles.set_journal(journal)?;
         Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: Dir::new(path) })
     }
 
-    /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used.
-    pub(super) fn open(path: &Path, number: u64, journal: Uuid, publish: u8) -> Result<(Self, u64), String> {
+    /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used. sled
+    /// panics on some damaged files: that is caught here.
+    pub(super) fn open(
+        path: &Path,
+        number: u64,
+        cache_bytes: u64,
+        journal: Uuid,
+        publish: u8,
+    ) -> Result<(Self, u64), String> {
         if !path.exists() {
             return Err("they are gone".to_owned());
         }
-        let tiles = Tiles::open(path, journal).map_err(|error| error.to_string())?;
-        let (catalog, folded) = tiles.check()?;
+        let (tiles, of) = caught(|| {
+            let tiles = Tiles::open(path, cache_bytes)?;
+            let of = tiles.journal()?;
+            Ok((tiles, of))
+        })?;
+        if of != Some(journal) {
+            return Err("they were folded from another journal".to_owned());
+        }
+        let (catalog, folded) = caught(|| Ok(tiles.check()))??;
         Ok((Self { number, tiles, publish, catalog: RwLock::new(catalog), dir: Dir::new(path) }, folded))
     }
 
@@ -124,7 +153,7 @@ impl Generation {
 
     /// Looks again at what is stored, after a failure that left it uncertain. Returns the last record.
     pub(super) fn look_again(&self) -> Result<u64, String> {
-        let (catalog, folded) = self.tiles.check()?;
+        let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
         *self.catalog_mut() = catalog;
         Ok(folded)
     }

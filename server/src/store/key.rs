@@ -12,7 +12,7 @@ use siphasher::sip::SipHasher24;
 use super::TileInfo;
 
 /// Bytes of a key.
-const KEY: usize = 10;
+pub(super) const KEY: usize = 10;
 
 /// The key of a tile.
 pub(super) fn key(id: TileId) -> [u8; KEY] {
@@ -25,7 +25,7 @@ pub(super) fn key(id: TileId) -> [u8; KEY] {
 }
 
 /// The tile of a key.
-pub(super) fn id_of(key: &[u8]) -> Option<TileId> {
+pub(super) fn id(key: &[u8]) -> Option<TileId> {
     let key: &[u8; KEY] = key.try_into().ok()?;
     let [e0, e1, y0, y1, y2, y3, x0, x1, x2, x3] = *key;
     let unordered = |bytes: [u8; 4]| (u32::from_be_bytes(bytes) ^ 1 << 31) as i32;
@@ -52,7 +52,7 @@ mod tests {
             let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
             let (a, b) = (TileId { zone, y: a.0, x: a.1 }, TileId { zone, y: b.0, x: b.1 });
             prop_assert_eq!(key(a).cmp(&key(b)), a.cmp(&b));
-            prop_assert_eq!(id_of(&key(a)), Some(a));
+            prop_assert_eq!(id(&key(a)), Some(a));
         }
     }
 }

@@ -2,13 +2,13 @@
 //!
 //! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
 //! from the journal in its order, and can be folded again from nothing. The embedded default keeps
-//! the journal in checksummed segment files and the tiles in a log of their own.
+//! the journal in checksummed segment files and the tiles in sled.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `base` (what stands for settled records), `tile_log`, `key` and `tiles`,
+//!   `exclusion` (which of them count), `base` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
 //!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
@@ -38,6 +38,7 @@ mod key;
 mod manifest;
 mod operations;
 mod options;
+mod pieces;
 mod policy;
 mod quarantine;
 mod record;
@@ -48,7 +49,6 @@ mod stream;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
-mod tile_log;
 mod tiles;
 mod verify;
 mod vetting;
@@ -82,6 +82,9 @@ pub enum Error {
         /// The system's words.
         source: std::io::Error,
     },
+    /// The tile store refused.
+    #[error("tile store: {0}")]
+    Tiles(#[from] sled::Error),
     /// Stored bytes do not pass their checks.
     #[error("{what} is damaged: {reason}")]
     Damaged {

@@ -9,6 +9,8 @@ use super::Policy;
 pub struct Options {
     /// The data directory; made if missing.
     pub data_dir: PathBuf,
+    /// Memory for sled's cache, bytes; twice that while a new generation of tiles is made.
+    pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
     /// What counts and what is served. Another policy than before needs a rebuild: delete the manifest.

@@ -16,6 +16,7 @@ use super::{Error, Policy, Progress, State};
 
 /// What the store and its folding thread share.
 pub(super) struct Shared {
+    pub(super) cache_bytes: u64,
     pub(super) policy: Policy,
     pub(super) journal_id: Uuid,
     pub(super) lineage: u64,
@@ -46,6 +47,7 @@ impl Shared {
         (served, base): (Option<Arc<Generation>>, Base),
     ) -> Self {
         Self {
+            cache_bytes: options.cache_bytes,
             policy: options.policy,
             journal_id,
             lineage,

@@ -18,7 +18,12 @@ mod settling;
 
 fn options(dir: &Path) -> Options {
     use super::Policy;
-    Options { data_dir: dir.to_owned(), segment_bytes: 4096, policy: Policy::trusting() }
+    Options {
+        data_dir: dir.to_owned(),
+        cache_bytes: 8 << 20,
+        segment_bytes: 4096,
+        policy: Policy::trusting(),
+    }
 }
 
 fn open(dir: &Path) -> EmbeddedStore {
@@ -132,23 +137,13 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
     commit_all(&store, &uploads);
     caught_up(&store);
     drop(store);
-    let log = || {
-        let files = std::fs::read_dir(tiles_dir(dir.path())).unwrap();
-        files.map(|entry| entry.unwrap().path()).next().unwrap()
-    };
-    for change in 0..3 {
-        let (path, mut bytes) = (log(), std::fs::read(log()).unwrap());
-        match change {
-            0 => bytes.fill(0xa5),
-            1 => bytes.clear(),
-            _ => *bytes.last_mut().unwrap() ^= 1,
-        }
-        std::fs::write(path, bytes).unwrap();
-        assert_eq!(map(&open(dir.path())), model(&uploads), "change {change}");
+    for file in ["conf", "db"] {
+        std::fs::write(tiles_dir(dir.path()).join(file), [0xa5; 9000]).unwrap();
+        assert_eq!(map(&open(dir.path())), model(&uploads), "{file}");
     }
 }
 
-/// Breaks it: passing over files that nobody knows.
+/// Breaks it: ending the start with sled's refusal.
 #[test]
 fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
@@ -159,7 +154,9 @@ fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
     drop(store);
     let tiles = tiles_dir(dir.path());
     std::fs::remove_dir_all(&tiles).unwrap();
-    sled::open(&tiles).unwrap().open_tree("tiles").unwrap().insert([0; 10], "a tile").unwrap();
+    let older = sled::Config::new().path(&tiles).segment_size(4 << 20).open().unwrap();
+    older.open_tree("tiles").unwrap().insert([0; 10], "a whole tile").unwrap();
+    drop(older);
     assert_eq!(map(&open(dir.path())), model(&uploads));
 }
 
@@ -179,29 +176,36 @@ fn tiles_of_another_journal_are_not_believed() {
 }
 
 #[test]
-fn tiles_that_are_lost_or_of_another_time_are_folded_again() {
+fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(30);
     let store = open(dir.path());
     commit_all(&store, &uploads[..10]);
     caught_up(&store);
-    let all = || {
-        let log = &store.shared.served().unwrap().tiles.log;
-        let value = |key: Vec<u8>| (key.clone(), log.get(&key).unwrap().unwrap());
-        log.keys(&[]).into_iter().filter(|key| key != tiles::STATE).map(value).collect::<Vec<_>>()
-    };
-    let old = all();
+    drop(store);
+    let old: Vec<_> = sled_tree(dir.path(), |tree| tree.iter().map(Result::unwrap).collect());
+    let store = open(dir.path());
     commit_all(&store, &uploads[10..]);
     caught_up(&store);
-    let new = all();
-    assert_ne!(old, new);
-    for (at, (key, _)) in new.iter().enumerate() {
-        let of_old = old.iter().find(|(old, _)| old == key).map(|(_, value)| value.clone());
-        let value = if at % 2 == 0 { of_old.unwrap_or_default() } else { Vec::new() };
-        store.shared.served().unwrap().tiles.log.put(&[(key.clone(), value)]).unwrap();
-    }
     drop(store);
+    sled_tree(dir.path(), |tree| {
+        for (i, (key, value)) in old.iter().enumerate() {
+            match i % 3 {
+                0 => drop(tree.insert(key, value).unwrap()),
+                1 => drop(tree.remove(key).unwrap()),
+                _ => drop(tree.insert(key, &value[..value.len() / 2]).unwrap()),
+            }
+        }
+        tree.insert("stray", "value").unwrap();
+    });
     assert_eq!(map(&open(dir.path())), model(&uploads));
+}
+
+fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
+    let tiles = tiles::Tiles::open(&tiles_dir(dir), 1 << 20).unwrap();
+    let result = work(&tiles.tree);
+    tiles.db.flush().unwrap();
+    result
 }
 
 #[test]
@@ -305,7 +309,7 @@ fn forgetting_is_part_of_the_journal_and_rebuilds_the_same() {
     }
     let before = map(&store);
     drop(store);
-    std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
+    sled_tree(dir.path(), |tree| tree.clear().unwrap());
     assert_eq!(map(&open(dir.path())), before);
 }
 

@@ -1,66 +1,87 @@
-//! Tiles in a [`TileLog`], which is not trusted: every tile carries its own checksum, and with every change goes,
-//! in one put, how far the journal is folded and a digest of all tiles' versions. Tiles that were lost, or kept from
-//! another time, are noticed by it; then all are folded again.
+//! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
+//! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
+//! kept from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
 //! key    see [`super::key`]
-//! value  CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
+//! value  in pieces, see [`super::pieces`]: CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
 //! a quarantined upload: see [`super::quarantine`]
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
 use echofix_core::geo::TileId;
 use echofix_core::tile::{self, Tile};
+use sled::IVec;
 use uuid::Uuid;
 
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
-use super::key::{id_of, key};
-use super::tile_log::TileLog;
+use super::key::key;
 use super::vetting::Quarantined;
-use super::{Error, TileInfo, quarantine};
+use super::{Error, TileInfo, pieces, quarantine};
 
+/// Where the journal the tiles were folded from is named.
+const JOURNAL: &[u8] = b"journal";
 /// Where it is kept how far the tiles go.
-pub(super) const STATE: &[u8] = b"state";
+const STATE: &[u8] = b"state";
 const HEAD: usize = 22;
+/// How long a dropped instance may take to let go.
+const LOCK_WAIT: Duration = Duration::from_secs(10);
 
 /// The tile store.
 pub(super) struct Tiles {
-    pub(super) log: TileLog,
+    pub(super) db: sled::Db,
+    pub(super) tree: sled::Tree,
+    /// Held by who changes tiles, and by who must see them all of one time.
+    changing: Mutex<()>,
+    /// Held for writing while a batch is applied: no reader sees half of a tile's pieces.
+    whole: RwLock<()>,
 }
 
 impl Tiles {
-    /// An empty store, of what is folded from a journal.
-    pub(super) fn create(dir: &Path, journal: Uuid) -> Result<Self, Error> {
-        Ok(Self { log: TileLog::create(dir, journal)? })
+    pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
+        let db = unlocked(&pieces::config(dir, cache_bytes))?;
+        let tree = db.open_tree("tiles")?;
+        Ok(Self { db, tree, changing: Mutex::default(), whole: RwLock::default() })
     }
 
-    /// A store as it was left.
-    pub(super) fn open(dir: &Path, journal: Uuid) -> Result<Self, Error> {
-        Ok(Self { log: TileLog::open(dir, journal)? })
+    /// The journal these tiles were folded from; `None` in a new store.
+    pub(super) fn journal(&self) -> Result<Option<Uuid>, Error> {
+        Ok(self.db.get(JOURNAL)?.map(|bytes| Uuid::from_slice(&bytes).unwrap_or_default()))
+    }
+
+    pub(super) fn set_journal(&self, journal: Uuid) -> Result<(), Error> {
+        self.db.insert(JOURNAL, &journal.as_bytes()[..])?;
+        Ok(())
     }
 
     /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
     pub(super) fn check(&self) -> Result<(Catalog, u64), String> {
-        let _unchanged = self.log.paused();
+        let _unchanged = self.changing();
         let mut catalog = Catalog::default();
-        let mut state = None;
-        for key in self.log.keys(&[]) {
-            let value = self.log.get(&key).map_err(|error| error.to_string())?.unwrap_or_default();
-            if let Some(id) = id_of(&key) {
+        let mut after = IVec::default();
+        while let Some((key, _)) = self.tree.get_gt(&after).map_err(|error| error.to_string())? {
+            after = if let Some(id) = pieces::tile_of(&key) {
+                let value = self.value(id).map_err(|error| error.to_string())?.unwrap_or_default();
                 catalog.put(parse(id, &value).map_err(|error| error.to_string())?.info);
-            } else if key == STATE {
-                state = Some(parse_state(&value).ok_or("how far they are folded is damaged")?);
-            } else if !quarantine::is_key(&key) {
-                return Err(format!("nobody knows what {key:?} is"));
-            }
+                IVec::from(&pieces::last_key(id)[..])
+            } else if key == STATE || quarantine::is_key(&key) {
+                key
+            } else {
+                return Err(format!("nobody knows what {:?} is", &key[..]));
+            };
         }
-        match state {
+        match self.tree.get(STATE).map_err(|error| error.to_string())? {
             None => Err("it is not said how far they are folded".to_owned()),
-            Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
-            Some(_) => Err("some are missing or older than the others".to_owned()),
+            Some(state) => match parse_state(&state) {
+                Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
+                Some(_) => Err("some are missing or older than the others".to_owned()),
+                None => Err("how far they are folded is damaged".to_owned()),
+            },
         }
     }
 
@@ -87,12 +108,19 @@ impl Tiles {
         folded: u64,
         digest: u64,
     ) -> Result<(), Error> {
-        let mut entries: Vec<_> =
-            values.into_iter().map(|Value { bytes, info }| (key(info.id).to_vec(), bytes)).collect();
-        let notes = quarantined.iter();
-        entries.extend(notes.map(|note| (quarantine::key(note.number), quarantine::encode(note))));
-        entries.push((STATE.to_vec(), state(folded, digest)));
-        self.log.put(&entries)
+        let _changing = self.changing();
+        let mut batch = sled::Batch::default();
+        for Value { bytes, info } in values {
+            pieces::put(&self.tree, &mut batch, info.id, &bytes)?;
+        }
+        for quarantined in quarantined {
+            batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
+        }
+        batch.insert(STATE, state(folded, digest));
+        // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
+        let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
+        self.tree.apply_batch(batch)?;
+        Ok(())
     }
 
     /// The uploads that were kept out, oldest first.
@@ -101,20 +129,26 @@ impl Tiles {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
         };
-        let notes = self.log.keys(quarantine::PREFIX).into_iter().map(|key| {
-            let value = self.log.get(&key)?.unwrap_or_default();
+        let notes = self.tree.scan_prefix(quarantine::PREFIX).map(|entry| {
+            let (key, value) = entry?;
             quarantine::decode(&key, &value).ok_or_else(damaged)
         });
         notes.collect()
     }
 
-    /// Brings everything to disk.
+    /// Asks sled to bring everything to disk.
     pub(super) fn flush(&self) -> Result<(), Error> {
-        self.log.flush()
+        self.db.flush()?;
+        Ok(())
     }
 
     fn value(&self, id: TileId) -> Result<Option<Vec<u8>>, Error> {
-        self.log.get(&key(id))
+        let _whole = self.whole.read().unwrap_or_else(PoisonError::into_inner);
+        pieces::get(&self.tree, id)
+    }
+
+    fn changing(&self) -> MutexGuard<'_, ()> {
+        self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -174,6 +208,22 @@ fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
     (state(folded, digest) == bytes).then_some((folded, digest))
 }
 
+/// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
+/// threads end a little later. No other process has it, see [`super::data_dir`].
+fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
+    let began = Instant::now();
+    loop {
+        match config.open() {
+            Err(sled::Error::Io(error))
+                if error.to_string().contains("could not acquire lock") && began.elapsed() < LOCK_WAIT =>
+            {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            outcome => return outcome,
+        }
+    }
+}
+
 /// A value whose checksum matches.
 struct Parsed<'a> {
     info: TileInfo,
@@ -214,6 +264,7 @@ fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
 mod tests {
     use super::super::key::stamp;
     use super::*;
+    use echofix_core::evidence::{CellHits, Pass, Share};
     use echofix_core::geo::Zone;
     use proptest::prelude::*;
 
@@ -221,55 +272,71 @@ mod tests {
         TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x }
     }
 
-    fn value(x: i32, version: u64) -> Value {
-        Value::new(id(x), &Folded { version, ..Folded::default() }, 1)
-    }
-
-    fn opened(dir: &Path) -> Tiles {
-        Tiles::open(dir, Uuid::nil()).unwrap()
+    /// A tile in a version, of so many cells.
+    fn value(x: i32, version: u64, cells: u32) -> Value {
+        let mut folded = Folded { version, ..Folded::default() };
+        // Nothing that could be compressed away.
+        let noise = |at: u32| at.wrapping_mul(0x9e37_79b9) >> 8;
+        let hit = |at: u32| CellHits {
+            index: at * 13,
+            hits: 99,
+            offset_sum: [noise(at) % 25_000, noise(!at) % 25_000],
+        };
+        let share = Share::of_hits((0..cells).map(hit).collect());
+        folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
+        Value::new(id(x), &folded, 1)
     }
 
     proptest! {
-        // Breaks it: leaving a part of the value out of the checksum.
+        // Breaks it: leaving out the end of the value from the checksum, or skipping pieces that are not there.
         #[test]
-        fn a_changed_or_cut_value_is_noticed(at: prop::sample::Index, bit in 0..8_u8, of_state: bool) {
+        fn a_changed_lost_or_cut_piece_is_noticed(
+            at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
+        ) {
             let dir = tempfile::tempdir().unwrap();
-            let tiles = Tiles::create(dir.path(), Uuid::nil()).unwrap();
-            let value = value(-1, 3);
+            let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+            let value = value(-1, 3, 8000);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
-            let key = if of_state { STATE.to_vec() } else { key(id(-1)).to_vec() };
-            let good = tiles.log.get(&key).unwrap().unwrap();
+            let pieces: Vec<_> = tiles.tree.scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
+            prop_assert!(pieces.len() > 2);
+            let key = if of_state { IVec::from(STATE) } else { pieces[piece.index(pieces.len())].clone() };
+            let good = tiles.tree.get(&key).unwrap().unwrap();
             let at = at.index(good.len());
-            let mut bad = good.clone();
+            let mut bad = good.to_vec();
             bad[at] ^= 1_u8 << bit;
-            for bad in [bad, good[..at].to_vec()] {
-                tiles.log.put(&[(key.clone(), bad)]).unwrap();
-                prop_assert!(tiles.check().is_err() && opened(dir.path()).check().is_err());
+            for bad in [Some(&bad[..]), Some(&good[..at]), None] {
+                match bad {
+                    Some(bad) => drop(tiles.tree.insert(&key, bad).unwrap()),
+                    None => drop(tiles.tree.remove(&key).unwrap()),
+                }
+                prop_assert!(tiles.check().is_err());
                 let damaged = |error| matches!(error, Some(Error::Damaged { .. }));
                 prop_assert!(of_state || damaged(tiles.stored(id(-1)).err()));
                 prop_assert!(of_state || damaged(tiles.folded(id(-1)).err()));
             }
-            tiles.log.put(&[(key, good)]).unwrap();
-            prop_assert!(opened(dir.path()).check().is_ok());
+            tiles.tree.insert(&key, good).unwrap();
+            prop_assert!(tiles.check().is_ok());
         }
     }
 
     #[test]
-    fn a_missing_or_older_tile_and_what_nobody_knows_are_noticed() {
+    fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
         let dir = tempfile::tempdir().unwrap();
-        let tiles = Tiles::create(dir.path(), Uuid::nil()).unwrap();
-        assert!(tiles.check().is_err(), "it is not said how far they go");
-        let digest = stamp(&value(1, 3).info).wrapping_add(stamp(&value(2, 5).info));
-        tiles.put_all(vec![value(2, 5)], &[], 5, digest).unwrap();
-        assert!(tiles.check().is_err());
-        tiles.put_all(vec![value(1, 3)], &[], 5, digest).unwrap();
+        let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+        let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
+        tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        tiles.put_all(vec![value(1, 2)], &[], 5, digest).unwrap();
+        let (at, kept) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
+        tiles.tree.remove(&at).unwrap();
         assert!(tiles.check().is_err());
-        tiles.put_all(vec![value(1, 3)], &[], 5, digest).unwrap();
-        tiles.log.put(&[(b"stray".to_vec(), b"value".to_vec())]).unwrap();
+        tiles.tree.insert(&at, kept).unwrap();
+        assert!(tiles.check().is_ok());
+        tiles.tree.insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
+        assert!(tiles.check().is_err(), "a tile as it was kept before there were pieces");
+        tiles.tree.remove(key(id(1))).unwrap();
+        tiles.tree.insert(&at, value(1, 2, 1).bytes).unwrap();
         assert!(tiles.check().is_err());
     }
 }

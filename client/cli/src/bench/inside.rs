@@ -53,6 +53,7 @@ impl Scene {
         let config = Config::load(&Sources::default())?;
         let options = Options {
             data_dir: folder.join("data"),
+            cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
             policy: Policy::trusting(),
         };
