@@ -152,7 +152,7 @@ impl Experiment {
 
     /// Does it need the streets that are made to be mistaken?
     pub fn scenes(self) -> bool {
-        matches!(self, Self::Ambiguity | Self::Localizability)
+        matches!(self, Self::Ambiguity | Self::Localizability | Self::Misses)
     }
 
     /// The conditions it compares: variations of one.
