@@ -30,7 +30,7 @@ async fn killed(
     let mut lost = Vec::new();
     for round in 0..kills {
         let from = uploads.fresh();
-        let moment = Duration::from_millis(rng.random_range(5..120));
+        let moment = Duration::from_millis(rng.random_range(5..60));
         known
             .until_gone(&uploads, &mut service, async |service| {
                 tokio::time::sleep(moment).await;
