@@ -12,7 +12,7 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Prior, Search, Task};
 use echofix_core::batch::Batch;
 use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{Pass, contribute};
+use echofix_core::evidence::{Gathering, Pass};
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::Gate;
@@ -51,9 +51,11 @@ impl Scene {
         for contributor in 0..5 {
             let seen = drive(0, contributor);
             let poses = on_grid(&grid, &seen.reference);
-            let (contribution, _) = contribute(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
+            let mut gathering = Gathering::default();
+            let (detections, _) = gathering
+                .add(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
                 .expect("every sensor is mounted");
-            for (id, share) in &contribution.tiles {
+            for (id, share) in &gathering.finish(detections).tiles {
                 let (tile, ledger) = tiles.entry(*id).or_default();
                 tile.fold(ledger, Pass { day: 20_000, contributor }, share);
             }

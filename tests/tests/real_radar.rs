@@ -17,7 +17,7 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Lattice, Prior, Search};
 use echofix_core::batch::Batch;
 use echofix_core::drive::Drive;
-use echofix_core::evidence::{Pass, Share, contribute};
+use echofix_core::evidence::{Gathering, Pass, Share};
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -144,8 +144,11 @@ impl Fragment {
         });
         let truth = Trajectory::new(on_grid).expect("the poses are in order");
         let (scans, gate) = (&drive.scans[..MAPPED], Gate::default());
-        let (seen, _) = contribute(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
+        let mut gathering = Gathering::default();
+        let (detections, _) = gathering
+            .add(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
             .expect("the radar is mounted");
+        let seen = gathering.finish(detections);
         let fold = |share: &Share| {
             let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
             tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, share);

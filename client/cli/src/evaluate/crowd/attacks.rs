@@ -19,7 +19,6 @@ use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::Name;
 use crate::evaluate::record::Record;
-use crate::evaluate::section::Section;
 
 /// Contributors that tell of a place before it is served.
 const LEAST: u8 = 3;
@@ -193,13 +192,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         all.iter_mut().zip(tried).for_each(|(all, one)| all.join(one));
     }
     let lines: Vec<_> = TRIED.iter().zip(&all).map(|(tried, outcome)| Line::of(*tried, outcome)).collect();
-    let section = Section {
-        experiment: Experiment::Attacks,
-        text: format!("{}\n{}", words(contributors), table(&COLUMNS, lines.iter().map(Line::cells))),
-        figures: Vec::new(),
-        data: Some(super::places(towns)),
-    };
-    Told::new(section, &lines)
+    let table = table(&COLUMNS, lines.iter().map(Line::cells));
+    Told::of_table(Experiment::Attacks, &words(contributors), &table, towns, &lines)
 }
 
 fn words(contributors: u64) -> String {

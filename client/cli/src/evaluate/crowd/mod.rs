@@ -69,6 +69,18 @@ impl Told {
     fn new<T: Serialize>(section: Section, lines: &[T]) -> anyhow::Result<Self> {
         Ok(Self { section, lines: serde_json::to_value(lines)? })
     }
+
+    /// Words and a table, of towns.
+    fn of_table<T: Serialize>(
+        experiment: Experiment,
+        words: &str,
+        table: &str,
+        towns: &[u64],
+        lines: &[T],
+    ) -> anyhow::Result<Self> {
+        let (text, data) = (format!("{words}\n{table}"), Some(places(towns)));
+        Self::new(Section { experiment, text, figures: Vec::new(), data }, lines)
+    }
 }
 
 /// What comes of one of [`Experiment::OF_THE_CROWD`]; `None` for the others.

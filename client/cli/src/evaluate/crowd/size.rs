@@ -17,7 +17,6 @@ use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::Name;
 use crate::evaluate::record::Record;
-use crate::evaluate::section::Section;
 use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 
 const SIDE: u32 = CELLS_PER_TILE as u32;
@@ -217,13 +216,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         "usable",
         "wrong, of the usable",
     ];
-    let section = Section {
-        experiment: Experiment::Upload,
-        text: format!("{WORDS}\n{}", table(&columns, lines.iter().map(Line::cells))),
-        figures: Vec::new(),
-        data: Some(super::places(towns)),
-    };
-    Told::new(section, &lines)
+    let table = table(&columns, lines.iter().map(Line::cells));
+    Told::of_table(Experiment::Upload, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]

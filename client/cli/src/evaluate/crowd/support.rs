@@ -21,7 +21,6 @@ use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::Name;
 use crate::evaluate::record::Record;
-use crate::evaluate::section::Section;
 
 /// Contributors of the maps; a bit each in a mask.
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
@@ -276,13 +275,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
             lines.push(Line::of(contributors, rule, &outcomes));
         }
     }
-    let section = Section {
-        experiment: Experiment::Support,
-        text: format!("{WORDS}\n{}", table(&COLUMNS, lines.iter().map(Line::cells))),
-        figures: Vec::new(),
-        data: Some(super::places(towns)),
-    };
-    Told::new(section, &lines)
+    let table = table(&COLUMNS, lines.iter().map(Line::cells));
+    Told::of_table(Experiment::Support, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]

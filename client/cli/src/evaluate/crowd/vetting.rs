@@ -14,7 +14,6 @@ use super::town::{self, Way};
 use super::uploads::{Sending, Upload, cut, cut_wrong};
 use super::{Scale, Told, table};
 use crate::evaluate::condition::Experiment;
-use crate::evaluate::section::Section;
 
 /// Contributors of the maps that uploads are held against.
 const CROWDS: [u64; 3] = [1, 3, 10];
@@ -171,13 +170,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let lines: Vec<_> = (0..WRONGS.len()).map(|which| Line::of(which, &all)).collect();
     let crowds = CROWDS.map(|count| format!("quarantined, map of {count}"));
     let columns: Vec<_> = ["", "uploads"].into_iter().chain(crowds.iter().map(String::as_str)).collect();
-    let section = Section {
-        experiment: Experiment::Vetting,
-        text: format!("{WORDS}\n{}", table(&columns, lines.iter().map(Line::cells))),
-        figures: Vec::new(),
-        data: Some(super::places(towns)),
-    };
-    Told::new(section, &lines)
+    let table = table(&columns, lines.iter().map(Line::cells));
+    Told::of_table(Experiment::Vetting, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]
