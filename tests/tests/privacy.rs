@@ -91,7 +91,11 @@ async fn nothing_but_the_journal_knows_who_drove_when() {
     settled(&service).await;
     let (journal, mut in_journal) = (service.data_dir().join("journal"), 0);
     for path in files(&service.data_dir()) {
-        let bytes = fs::read(&path).expect("a file can be read");
+        // sled writes its files anew meanwhile; those of the journal stay.
+        let Ok(bytes) = fs::read(&path) else {
+            assert!(!path.starts_with(&journal), "{}", path.display());
+            continue;
+        };
         let found = secrets.found_in(&bytes);
         if path.starts_with(&journal) {
             in_journal += found.len();
