@@ -1,6 +1,6 @@
-//! Values of any length, cut into pieces that sled keeps well: larger ones it takes up to twelve times their size for,
-//! however little changes. With these, in its mode for low space, it settles at two and a half times the values
-//! of a map, and some megabytes more.
+//! Values of any length, cut into pieces that sled keeps well: whole ones take several times their size on disk. With
+//! pieces, in its mode for low space, it settles below three times the encoded tiles and some megabytes more
+//! ("What a map costs" in `BENCHMARKS.md`).
 //!
 //! ```text
 //! key    key of the tile (10) | number of the piece (4), big-endian
