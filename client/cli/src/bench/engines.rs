@@ -2,7 +2,6 @@
 
 use std::hint::black_box;
 use std::sync::Arc;
-use std::time::Instant;
 
 use anyhow::ensure;
 use echofix_core::align::engine::{self, Bounded, Fast, Fft, Question, Reference};
@@ -14,6 +13,7 @@ use echofix_core::batch::Batch;
 use echofix_core::window::Frame;
 use serde::Serialize;
 
+use super::inside::timed;
 use crate::statistics::Percentiles;
 
 /// A batch and the map around its prior.
@@ -24,6 +24,19 @@ pub(super) struct Case {
     pub(super) prior: Prior,
     pub(super) search: Search,
     pub(super) integrity: Integrity,
+}
+
+impl Case {
+    /// The question of a batch in the case's place, perhaps not its own.
+    pub(super) fn question<'a>(
+        &'a self,
+        view: &'a MapView,
+        batch: &'a Batch,
+        thinned: &'a [[f32; 3]],
+    ) -> Question<'a> {
+        let Self { prior, search, .. } = self;
+        Question { view, batch, thinned, prior, search, lattice: Lattice::of(prior, search) }
+    }
 }
 
 /// What an engine takes.
@@ -98,17 +111,10 @@ fn search(
         view.show(case.frame, &case.tiles);
         let reach_m = case.search.extent_m as f32;
         thin::Thinner::default().thin(&case.batch.points, reach_m, thin::BLOCK_M, &mut thinned);
-        let question = Question {
-            view: &view,
-            batch: &case.batch,
-            thinned: &thinned,
-            prior: &case.prior,
-            search: &case.search,
-            lattice: Lattice::of(&case.prior, &case.search),
-        };
+        let question = case.question(&view, &case.batch, &thinned);
         // The first time fills buffers.
         engine.search(&question, &mut peaks);
-        times.extend((0..repetitions).map(|_| timed(|| engine.search(&question, &mut peaks))));
+        times.extend((0..repetitions).map(|_| timed(|| engine.search(&question, &mut peaks)).0));
         maxima.extend(peaks.first().map(|peak| peak.correction));
     }
     (times, maxima)
@@ -124,13 +130,7 @@ fn whole(cases: &[Case], kind: EngineKind, repetitions: usize) -> Vec<f64> {
             black_box(aligner.align(&task, kind, search, integrity));
         };
         fix();
-        times.extend((0..repetitions).map(|_| timed(&mut fix)));
+        times.extend((0..repetitions).map(|_| timed(&mut fix).0));
     }
     times
-}
-
-fn timed(work: impl FnOnce()) -> f64 {
-    let from = Instant::now();
-    work();
-    from.elapsed().as_secs_f64() * 1e3
 }

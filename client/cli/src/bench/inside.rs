@@ -21,10 +21,14 @@ use serde::Serialize;
 
 use super::engines::Case;
 use super::town::Town;
+use crate::fixes::Recording;
 use crate::statistics::Percentiles;
 
 /// Questions that engines and steps are timed on.
 const TIMED: usize = 8;
+
+/// The step that asks the engine.
+pub(super) const ALIGNED: &str = "aligned";
 
 /// Milliseconds of one request's steps, on one thread.
 #[derive(Debug, Clone, Serialize)]
@@ -33,6 +37,13 @@ pub struct Inside {
     pub steps: Vec<(&'static str, Percentiles)>,
     /// All of it.
     pub total_ms: Percentiles,
+}
+
+impl Inside {
+    /// A step by its name.
+    pub(super) fn step(&self, name: &str) -> Option<Percentiles> {
+        self.steps.iter().find(|(step, _)| *step == name).map(|(_, ms)| *ms)
+    }
 }
 
 /// The service's map and parts, in this process.
@@ -60,36 +71,39 @@ impl Scene {
         let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
         let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));
         let api = LocalizationApi::new(Arc::clone(&locator), Arc::default(), Arc::default());
-        let apart = town.recording.len().div_ceil(TIMED);
-        let asked = (0..town.recording.len()).step_by(apart);
-        let requests = asked.map(|index| town.recording.question(index).request.clone()).collect();
-        Ok(Self { store, config, locator, api, requests })
+        Ok(Self { store, config, locator, api, requests: timed_of(&town.recording) })
     }
 
-    /// Detections of the median request.
-    pub(super) fn detections(&self) -> usize {
-        let scans = |request: &LocalizeRequest| Some(request.batch.as_ref()?.scans.as_ref()?.range_m.len());
-        let mut counts: Vec<_> = self.requests.iter().filter_map(scans).collect();
-        counts.sort_unstable();
-        counts.get(counts.len() / 2).copied().unwrap_or_default()
+    /// The requests that are timed.
+    pub(super) fn requests(&self) -> &[LocalizeRequest] {
+        &self.requests
+    }
+
+    /// Half width of the search for vehicles that are lost, metres.
+    pub(super) fn wide_search_m(&self) -> f64 {
+        self.config.locating.wide_search_m
     }
 
     /// Times the steps of every request, so many times.
     ///
     /// # Errors
     /// When a request is refused.
-    pub(super) async fn profile(&self, repetitions: usize) -> anyhow::Result<Inside> {
+    pub(super) async fn profile(
+        &self,
+        requests: &[LocalizeRequest],
+        repetitions: usize,
+    ) -> anyhow::Result<Inside> {
         const STEPS: [&str; 7] = [
             "protobuf to columns",
             "columns checked",
             "scans organised",
             "window from the cache",
-            "aligned",
+            ALIGNED,
             "answer, metrics, feed",
             "answer to protobuf",
         ];
         let mut times = Vec::new();
-        for request in &self.requests {
+        for request in requests {
             let bytes = request.encode_to_vec();
             // The first time fills the cache.
             self.steps(&bytes).await?;
@@ -137,7 +151,11 @@ impl Scene {
         self.requests.iter().map(|request| self.case(request)).collect()
     }
 
-    fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
+    /// A request as the engines see it.
+    ///
+    /// # Errors
+    /// When the request is malformed or the map cannot be read.
+    pub(super) fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
         let batch = self.organised(&decode::batch(request.batch.clone(), "batch")?)?;
         let believed = request.prior.clone().unwrap_or_default();
         let pose = believed.pose.unwrap_or_default();
@@ -161,7 +179,22 @@ impl Scene {
     }
 }
 
-fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
+/// The requests of a recording that are timed.
+pub(super) fn timed_of(recording: &Recording) -> Vec<LocalizeRequest> {
+    let asked = (0..recording.len()).step_by(recording.len().div_ceil(TIMED));
+    asked.map(|index| recording.question(index).request.clone()).collect()
+}
+
+/// Detections of the median request.
+pub(super) fn detections(requests: &[LocalizeRequest]) -> usize {
+    let scans = |request: &LocalizeRequest| Some(request.batch.as_ref()?.scans.as_ref()?.range_m.len());
+    let mut counts: Vec<_> = requests.iter().filter_map(scans).collect();
+    counts.sort_unstable();
+    counts.get(counts.len() / 2).copied().unwrap_or_default()
+}
+
+/// Milliseconds that some work takes, and what it gives.
+pub(super) fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
     let from = Instant::now();
     let done = work();
     (from.elapsed().as_secs_f64() * 1e3, done)

@@ -5,6 +5,9 @@
 //! - [`cold`]: a street that the service has not seen yet: windows made, memory taken.
 //! - [`inside`]: the same map and requests without sockets: where the time of one request goes.
 //! - [`engines`]: the alignment alone, by engine.
+//! - [`sizes`]: the search by the size of window and batch.
+//! - [`lengths`]: one request by the length of its batch.
+//! - [`lost`]: the wide search for vehicles that are lost.
 //! - [`mod@page`]: the figures as a page.
 //!
 //! The service is a process of its own: what it used is its own, and not the questioner's.
@@ -12,8 +15,11 @@
 mod cold;
 mod engines;
 mod inside;
+mod lengths;
 mod load;
+mod lost;
 mod page;
+mod sizes;
 mod town;
 
 use std::path::Path;
@@ -29,8 +35,11 @@ use crate::statistics::Percentiles;
 use cold::Cold;
 use engines::Engine;
 use inside::Inside;
+use lengths::Length;
 use load::Load;
+use lost::Lost;
 pub use page::page;
+use sizes::Size;
 use town::Town;
 
 /// How much is measured.
@@ -50,6 +59,14 @@ pub struct Plan {
     pub clients_per_thread: usize,
     /// Times that each step and each engine is timed.
     pub repetitions: usize,
+    /// Windows the engines are compared in: shifts in each direction, metres.
+    pub half_widths_m: Vec<f64>,
+    /// Occupied cells of the batches they are compared on.
+    pub cells: Vec<usize>,
+    /// Batches of each size.
+    pub sized: usize,
+    /// Questions of vehicles that are lost.
+    pub lost: usize,
 }
 
 impl Plan {
@@ -64,6 +81,10 @@ impl Plan {
             load_s: 10.0,
             clients_per_thread: 4,
             repetitions: 20,
+            half_widths_m: vec![6.0, 12.0, 30.0],
+            cells: vec![8_000, 20_000, 50_000, 100_000, 200_000],
+            sized: 3,
+            lost: 120,
         }
     }
 
@@ -78,6 +99,10 @@ impl Plan {
             load_s: 2.0,
             clients_per_thread: 2,
             repetitions: 2,
+            half_widths_m: vec![6.0],
+            cells: vec![8_000, 50_000],
+            sized: 1,
+            lost: 6,
         }
     }
 }
@@ -103,6 +128,12 @@ pub struct Figures {
     pub inside: Inside,
     /// The alignment alone.
     pub engines: Vec<Engine>,
+    /// The search by the size of window and batch.
+    pub sizes: Vec<Size>,
+    /// One request by the length of its batch.
+    pub lengths: Vec<Length>,
+    /// The wide search.
+    pub lost: Lost,
     /// Horizontal errors of all answers, metres.
     pub error_m: Option<Percentiles>,
     /// Share of the answers that are usable.
@@ -134,21 +165,27 @@ pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Resu
     let (refused, _) = loaded(&plan, &town, folder, 2, &[NEVER_ENOUGH.to_owned()]).await?;
     say("Steps and engines, in process.");
     let scene = inside::Scene::open(&town, folder)?;
-    let inside = scene.profile(plan.repetitions).await?;
+    let inside = scene.profile(scene.requests(), plan.repetitions).await?;
     let engines = engines::measure(&scene.cases()?, plan.repetitions)?;
+    say("Windows and batches of other sizes.");
+    let sizes = sizes::measure(&scene, &plan)?;
+    let lengths = lengths::measure(&scene, &town, plan.repetitions).await?;
+    say("Vehicles that are lost.");
+    let lost = lost::measure(&scene, &town, plan.lost, plan.seed)?;
     let (error_m, usable_share) = sane(&fixes)?;
-    let Town { street_km, .. } = town;
-    let (machine, detections) = (Machine::here(), scene.detections());
     Ok(Figures {
+        machine: Machine::here(),
+        street_km: town.street_km,
+        detections: inside::detections(scene.requests()),
         plan,
-        machine,
-        street_km,
-        detections,
         cold,
         loads,
         refused,
         inside,
         engines,
+        sizes,
+        lengths,
+        lost,
         error_m,
         usable_share,
     })

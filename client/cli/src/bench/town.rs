@@ -16,6 +16,11 @@ use crate::service::Service;
 /// Two vehicles are enough to make a map.
 pub const TRUSTING: &str = "mapping.publish_contributors=1";
 
+/// Seconds of a batch.
+const BATCH_S: f64 = 5.0;
+/// Seconds of the batches that are compared.
+const LENGTHS_S: [f64; 4] = [1.0, 2.0, 5.0, 8.0];
+
 /// Days between mapping and asking: the parked cars have changed.
 const DAYS_LATER: u32 = 3;
 
@@ -23,6 +28,8 @@ const DAYS_LATER: u32 = 3;
 pub(super) struct Town {
     pub(super) street_km: f64,
     pub(super) recording: Arc<Recording>,
+    /// The same drive, asking with batches of other lengths, by seconds.
+    pub(super) by_length: Vec<(f64, Recording)>,
     /// Metres driven from the first question to the last.
     pub(super) asked_over_m: f64,
 }
@@ -44,34 +51,41 @@ impl Town {
         }
         service.settled().await?;
         service.stop().await?;
-        let (recording, asked_over_m) = asked(plan, &city)?;
-        Ok(Self { street_km: city.streets_m() / 1e3, recording: Arc::new(recording), asked_over_m })
+        Self::asked(plan, &city)
+    }
+
+    /// What a vehicle asks on a later day, each second of a drive.
+    fn asked(plan: &Plan, city: &City) -> anyhow::Result<Self> {
+        let seed = plan.seed * 1000 + 999;
+        let route = Route::survey(city, seed);
+        let mut drive = simulate::drive(city, DAYS_LATER, &route, "lost".to_owned(), seed)?;
+        let mut recording = Recording::of(&drive, &questions(plan, BATCH_S))?;
+        if recording.len() > plan.questions {
+            let end_us = recording.question(plan.questions - 1).time_us();
+            cut(&mut drive, end_us);
+            recording = Recording::of(&drive, &questions(plan, BATCH_S))?;
+        }
+        let (first, last) = (recording.question(0), recording.question(recording.len() - 1));
+        let asked_over_m = drive.odometry.travelled_between_m(first.time_us(), last.time_us());
+        let of_length = |batch_s| Ok((batch_s, Recording::of(&drive, &questions(plan, batch_s))?));
+        let by_length = LENGTHS_S.into_iter().map(of_length).collect::<anyhow::Result<_>>()?;
+        let street_km = city.streets_m() / 1e3;
+        Ok(Self { street_km, recording: Arc::new(recording), by_length, asked_over_m })
     }
 }
 
-/// What a vehicle asks on a later day, each second of a drive.
-fn asked(plan: &Plan, city: &City) -> anyhow::Result<(Recording, f64)> {
-    let seed = plan.seed * 1000 + 999;
-    let mut drive = simulate::drive(city, DAYS_LATER, &Route::survey(city, seed), "lost".to_owned(), seed)?;
-    let questions = fixes::Plan {
+/// When to ask, with batches of so many seconds.
+fn questions(plan: &Plan, batch_s: f64) -> fixes::Plan {
+    fixes::Plan {
         every_s: 1.0,
-        batch_s: 5.0,
+        batch_s,
         priors: 1,
         sigma_position_m: 2.0,
         sigma_yaw_rad: 3_f64.to_radians(),
         seed: plan.seed,
-        warm_up_s: 5.0,
+        warm_up_s: batch_s,
         at_once: 1,
-    };
-    let mut recording = Recording::of(&drive, &questions)?;
-    if recording.len() > plan.questions {
-        let end_us = recording.question(plan.questions - 1).time_us();
-        cut(&mut drive, end_us);
-        recording = Recording::of(&drive, &questions)?;
     }
-    let (first, last) = (recording.question(0), recording.question(recording.len() - 1));
-    let asked_over_m = drive.odometry.travelled_between_m(first.time_us(), last.time_us());
-    Ok((recording, asked_over_m))
 }
 
 /// Ends a drive some time after `end_us`, so that its last question is for about then.

@@ -13,7 +13,7 @@ use anyhow::{Context, bail};
 use echofix_client::Localizer;
 use echofix_client::refusal::CallError;
 use echofix_client::vehicle::Question;
-use echofix_core::drive::Drive;
+use echofix_core::drive::{Drive, GeoPose};
 use echofix_proto::v1::LocalizeResponse;
 use indicatif::ProgressBar;
 use tokio::sync::Semaphore;
@@ -92,6 +92,11 @@ impl Recording {
     /// A question, in order of time.
     pub fn question(&self, index: usize) -> &Question {
         &self.questions.asked[index].0
+    }
+
+    /// Where the vehicle truly is at the time of a question.
+    pub fn true_pose(&self, index: usize) -> &GeoPose {
+        &self.questions.asked[index].1
     }
 
     /// What came of a question.

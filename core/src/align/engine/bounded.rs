@@ -5,8 +5,8 @@
 //! 2. The sum of the map's largest weights around each cell bounds all 64 shifts of a block at once.
 //! 3. The few blocks that are left are summed up, the highest bound first.
 //!
-//! Where too many are left (weights that are flat over a block), every hypothesis is computed by the
-//! FFT instead.
+//! Where too many are left (weights that are flat over a block), or the batch is so dense that they
+//! would be, every hypothesis is computed by the FFT instead.
 
 use std::cmp::Reverse;
 
@@ -21,6 +21,8 @@ const BLOCK: usize = 8;
 const STRIP: usize = 16;
 /// Blocks left beyond which the FFT is faster.
 const TOO_MANY: usize = 2500;
+/// Occupied cells of a heading beyond which the FFT is faster: most blocks of a batch so dense are left.
+const DENSE: usize = 40_000;
 /// Half width of the search for the best sum around a hill that was found, cells.
 const AROUND: usize = 5;
 
@@ -83,6 +85,10 @@ impl Engine for Bounded {
         self.occupied.resize_with(self.occupied.len().max(headings), Vec::new);
         for (heading, occupied) in self.occupied[..headings].iter_mut().enumerate() {
             question.occupied(self.isa, heading, &mut self.once, occupied);
+        }
+        if self.occupied[..headings].iter().any(|occupied| occupied.len() > DENSE) {
+            self.fft.search(question, peaks);
+            return;
         }
         let mut best = Best::default();
         if let Some(peak) = peaks.first() {

@@ -1,0 +1,112 @@
+//! The search by the size of window and batch: which engine is the fastest where.
+
+use std::collections::HashSet;
+
+use anyhow::ensure;
+use echofix_core::align::Search;
+use echofix_core::align::engine::{Bounded, Engine, Fast, Fft};
+use echofix_core::align::thin::{BLOCK_M, Thinner};
+use echofix_core::align::view::MapView;
+use echofix_core::batch::Batch;
+use echofix_core::geo::CELL_M;
+use echofix_proto::v1::LocalizeRequest;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+use serde::Serialize;
+
+use super::Plan;
+use super::engines::Case;
+use super::inside::{Scene, timed};
+
+/// Copies of a detection lie so far from it, one sigma along each axis, metres.
+const SCATTER_M: f32 = 0.6;
+/// More copies of a batch than any size needs: what they add gets ever less.
+const COPIES: usize = 200;
+
+/// The search in one window, of batches of one size.
+#[derive(Debug, Clone, Serialize)]
+pub struct Size {
+    /// Shifts are searched so far in each direction, metres.
+    pub half_width_m: f64,
+    /// Occupied cells of a batch, the least of the cases.
+    pub cells: usize,
+    /// Milliseconds of a search, by engine: the mean of the cases. `fast`'s has the thinning of the batch in it.
+    pub ms: Vec<(&'static str, f64)>,
+}
+
+/// Times the searches of some requests in every window and size.
+///
+/// # Errors
+/// When a request is malformed or the map cannot be read.
+pub(super) fn measure(scene: &Scene, plan: &Plan) -> anyhow::Result<Vec<Size>> {
+    let mut sizes = Vec::new();
+    for &half_width_m in &plan.half_widths_m {
+        let requests = scene.requests().iter().take(plan.sized);
+        let cases: Vec<_> =
+            requests.map(|request| scene.case(&widened(request, half_width_m))).collect::<Result<_, _>>()?;
+        for &cells in &plan.cells {
+            sizes.push(size(&cases, half_width_m, cells, plan.seed)?);
+        }
+    }
+    Ok(sizes)
+}
+
+/// A request whose search covers so many metres in each direction.
+fn widened(request: &LocalizeRequest, half_width_m: f64) -> LocalizeRequest {
+    let mut request = request.clone();
+    if let Some(prior) = &mut request.prior {
+        prior.sigma_position_m = half_width_m / Search::default().sigmas;
+    }
+    request
+}
+
+fn size(cases: &[Case], half_width_m: f64, cells: usize, seed: u64) -> anyhow::Result<Size> {
+    let mut engines: [Box<dyn Engine>; 3] =
+        [Box::new(Fast::default()), Box::new(Bounded::default()), Box::new(Fft::default())];
+    let mut ms = engines.each_ref().map(|engine| (engine.name(), 0.0));
+    let mut least = usize::MAX;
+    let (mut view, mut thinned, mut peaks) = (MapView::default(), Vec::new(), Vec::new());
+    let mut thinner = Thinner::default();
+    for case in cases {
+        let reach_m = case.search.extent_m as f32;
+        let (batch, occupied) = denser(&case.batch, cells, reach_m, seed)?;
+        least = least.min(occupied);
+        view.show(case.frame, &case.tiles);
+        let mut thin = || thinner.thin(&batch.points, reach_m, BLOCK_M, &mut thinned);
+        // The first time fills buffers.
+        thin();
+        ms[0].1 += timed(&mut thin).0;
+        let question = case.question(&view, &batch, &thinned);
+        for (engine, (_, ms)) in engines.iter_mut().zip(&mut ms) {
+            engine.search(&question, &mut peaks);
+            *ms += timed(|| engine.search(&question, &mut peaks)).0;
+        }
+    }
+    ensure!(!cases.is_empty(), "there is nothing to time");
+    let mean = |(name, ms)| (name, ms / cases.len() as f64);
+    Ok(Size { half_width_m, cells: least, ms: ms.map(mean).into() })
+}
+
+/// A batch with copies of its detections around them, until it occupies so many cells, and how many
+/// it does.
+fn denser(batch: &Batch, cells: usize, reach_m: f32, seed: u64) -> anyhow::Result<(Batch, usize)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let scatter = Normal::new(0.0, SCATTER_M)?;
+    let mut denser = batch.clone();
+    let mut occupied: HashSet<_> = batch.points.iter().filter_map(|at| cell(*at, reach_m)).collect();
+    for at in (0..COPIES).flat_map(|_| &batch.points) {
+        if occupied.len() >= cells {
+            break;
+        }
+        let copy = at.map(|at| at + scatter.sample(&mut rng));
+        occupied.extend(cell(copy, reach_m));
+        denser.points.push(copy);
+    }
+    Ok((denser, occupied.len()))
+}
+
+/// The cell of a point within reach.
+fn cell([x, y]: [f32; 2], reach_m: f32) -> Option<[i32; 2]> {
+    (x.hypot(y) <= reach_m).then(|| [x, y].map(|at| (f64::from(at) / CELL_M).floor() as i32))
+}
