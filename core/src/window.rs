@@ -163,9 +163,7 @@ mod tests {
     #[test]
     fn cells_keep_their_place_on_the_map() {
         let place = [600_010.03, 3_300_020.07];
-        let id = TileId::of(zone(), place);
-        let (cell, first) = (CellIndex::of(place), id.first_cell());
-        let index = ((cell.y - first.y) * 512 + (cell.x - first.x)) as u32;
+        let (id, index) = TileId::locate(zone(), CellIndex::of(place));
         let tile = Tile::from_cells(vec![(
             index,
             Cell { hits: 1, passes: 1, offset_sum: [76, 179], ..Cell::default() },

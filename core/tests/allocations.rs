@@ -120,9 +120,7 @@ fn batch(structure: &[[f64; 2]], rng: &mut ChaCha8Rng) -> Batch {
 fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
     let mut cells: BTreeMap<TileId, BTreeMap<u32, Cell>> = BTreeMap::new();
     for point in points {
-        let cell = CellIndex::of(*point);
-        let id = TileId::of_cell(frame.zone, cell);
-        let index = (cell.y - id.first_cell().y) * 512 + cell.x - id.first_cell().x;
+        let (id, index) = TileId::locate(frame.zone, CellIndex::of(*point));
         let middle = Cell {
             hits: 2,
             passes: 1,
@@ -131,7 +129,7 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
             offset_sum: [256, 256],
             ..Cell::default()
         };
-        cells.entry(id).or_default().insert(index as u32, middle);
+        cells.entry(id).or_default().insert(index, middle);
     }
     let tile = |cells: BTreeMap<u32, Cell>| Tile::from_cells(cells.into_iter().collect());
     let tiles: BTreeMap<TileId, Tile> =

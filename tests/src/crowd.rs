@@ -20,8 +20,6 @@ use crate::town;
 
 /// Way along the street, metres: some uploads.
 const STREET_M: f64 = 250.0;
-/// Cells of a tile along a side.
-const SIDE: i64 = 512;
 
 /// A drive along the street: the same way for everybody, each with errors of its own.
 pub fn street(city: &City, day: u32, vehicle: &str) -> Drive {
@@ -63,10 +61,7 @@ fn move_all(drive: &mut Drive, to: impl Fn(&Pose2, [f64; 2]) -> Pose2) {
 pub fn hits(zone: Zone, points: impl IntoIterator<Item = [f64; 2]>, each: u32) -> Contribution {
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for point in points {
-        let cell = CellIndex::of(point);
-        let id = TileId::of_cell(zone, cell);
-        let first = id.first_cell();
-        let index = ((cell.y - first.y) * SIDE + cell.x - first.x) as u32;
+        let (id, index) = TileId::locate(zone, CellIndex::of(point));
         let hit = CellHits { index, hits: each, offset_sum: [each * 128; 2] };
         tiles.entry(id).or_default().insert(index, hit);
     }

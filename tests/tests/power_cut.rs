@@ -16,13 +16,13 @@ use echofix_tests::{mapping, tiles, town};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// The store that trusts `flush()`.
+const STORE: &str = env!("CARGO_BIN_EXE_sled_flush");
+
 /// What a cut takes back is folded again at every start: without vetting that is quick, and nothing hangs on it here.
 fn unvetted() -> Vec<String> {
     vec!["mapping.vet=false".to_owned()]
 }
-
-/// The store that trusts `flush()`.
-const STORE: &str = env!("CARGO_BIN_EXE_sled_flush");
 
 fn cuts() -> u32 {
     std::env::var("ECHOFIX_POWER_CUTS")
@@ -50,7 +50,7 @@ async fn with_cuts(fault: Option<&'static str>) -> Outcome {
         let from = uploads.fresh();
         let setup = Setup { data_dir: Some(disk.path().join("data")), fault, settings: unvetted() };
         let mut service = Service::start_as(setup);
-        let moment = Duration::from_millis(rng.random_range(5..120));
+        let moment = Duration::from_millis(rng.random_range(5..250));
         known
             .until_gone(&uploads, &mut service, async |service| {
                 tokio::time::sleep(moment).await;

@@ -270,10 +270,7 @@ mod tests {
         let zone = Zone::from_epsg(32614).unwrap();
         let mut tiles = BTreeMap::<TileId, BTreeMap<u32, Cell>>::new();
         for [x, y] in hits {
-            let place = [PLACE[0] + x, PLACE[1] + y];
-            let (id, cell) = (TileId::of(zone, place), CellIndex::of(place));
-            let first = id.first_cell();
-            let index = ((cell.y - first.y) * 512 + cell.x - first.x) as u32;
+            let (id, index) = TileId::locate(zone, CellIndex::of([PLACE[0] + x, PLACE[1] + y]));
             let cell = tiles.entry(id).or_default().entry(index).or_default();
             (cell.hits, cell.passes, cell.contributors) = (cell.hits + 1, 1, 1);
             cell.presence = presence::ALWAYS;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::view::Views;
 use super::{CellHits, Contribution, OFFSET_STEPS, SENT_STEPS, Share};
 use crate::batch::{self, Dropped};
-use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use crate::geo::{CELL_M, CellIndex, TileId, Zone};
 use crate::odometry::Trajectory;
 use crate::scan::{Gate, Mount, Scan};
 
@@ -59,9 +59,7 @@ impl Gathering {
 
     fn hit(&mut self, zone: Zone, point: [f64; 2]) {
         let cell = CellIndex::of(point);
-        let tile = TileId::of_cell(zone, cell);
-        let first = tile.first_cell();
-        let index = (cell.y - first.y) as u32 * CELLS_PER_TILE as u32 + (cell.x - first.x) as u32;
+        let (tile, index) = TileId::locate(zone, cell);
         let steps = self.steps;
         let offset = |value: f64, cell: i64| {
             let fraction = value / CELL_M - cell as f64;
@@ -195,9 +193,8 @@ mod tests {
         let scans: Vec<Scan> = (0..100).map(scan).collect();
         let (contribution, _) = contribute(&scans, 1.0);
         let in_view = |point: [f64; 2]| {
-            let (id, cell) = (TileId::of(zone(), point), CellIndex::of(point));
-            let (x, y) = (cell.x - id.first_cell().x, cell.y - id.first_cell().y);
-            contribution.tiles.get(&id).is_some_and(|s| s.observed.contains(view_block((y * 512 + x) as u32)))
+            let (id, index) = TileId::locate(zone(), CellIndex::of(point));
+            contribution.tiles.get(&id).is_some_and(|s| s.observed.contains(view_block(index)))
         };
         let block_m = VIEW_BLOCK_CELLS as f64 * CELL_M;
         for x in (20..80).map(|x| 600_000.0 + f64::from(x)) {

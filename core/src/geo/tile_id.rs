@@ -55,6 +55,21 @@ impl TileId {
         Self::of_cell(zone, CellIndex::of([x_m, y_m]))
     }
 
+    /// The tile that holds a cell, and the cell's row-major index in it.
+    #[must_use]
+    pub fn locate(zone: Zone, cell: CellIndex) -> (Self, u32) {
+        let tile = Self::of_cell(zone, cell);
+        let first = tile.first_cell();
+        (tile, ((cell.y - first.y) * CELLS_PER_TILE as i64 + cell.x - first.x) as u32)
+    }
+
+    /// The cell of a row-major index.
+    #[must_use]
+    pub fn cell(self, index: u32) -> CellIndex {
+        let (first, side) = (self.first_cell(), CELLS_PER_TILE as u32);
+        CellIndex { x: first.x + i64::from(index % side), y: first.y + i64::from(index / side) }
+    }
+
     /// The tile that holds a cell.
     #[must_use]
     pub fn of_cell(zone: Zone, cell: CellIndex) -> Self {
@@ -134,6 +149,8 @@ mod tests {
             let tile = TileId::of_cell(zone, cell);
             let first = tile.first_cell();
             prop_assert!((0..512).contains(&(cell.x - first.x)) && (0..512).contains(&(cell.y - first.y)));
+            let (same, index) = TileId::locate(zone, cell);
+            prop_assert_eq!((same, same.cell(index)), (tile, cell));
             prop_assert_eq!(tile.to_string().parse::<TileId>().unwrap(), tile);
             let [cx, cy] = cell.centre();
             prop_assert!((cx - x).abs() <= 0.051 && (cy - y).abs() <= 0.051);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::{Offsets, Share};
 use crate::datum::Offset;
 use crate::evidence::{self, CellHits, OFFSET_STEPS};
-use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TILE_M, TileId};
+use crate::geo::{CELL_M, CellIndex, TILE_M, TileId};
 
 /// Moves cells by the offset at their place: each goes whole, with the mean place of its hits, into the cell
 /// where that place comes to lie, be it another tile's. Hits are conserved.
@@ -13,12 +13,9 @@ use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TILE_M, TileId};
 pub fn moved(shares: &[Share], offsets: &Offsets) -> BTreeMap<TileId, Vec<CellHits>> {
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for (id, cells) in shares {
-        let first = id.first_cell();
         for cell in cells.iter().filter(|cell| cell.hits > 0) {
-            let (to, hits) = shifted(first, cell, offsets);
-            let tile = TileId::of_cell(id.zone, to);
-            let corner = tile.first_cell();
-            let index = ((to.y - corner.y) * CELLS_PER_TILE as i64 + to.x - corner.x) as u32;
+            let (to, hits) = shifted(*id, cell, offsets);
+            let (tile, index) = TileId::locate(id.zone, to);
             let empty = CellHits { index, hits: 0, offset_sum: [0, 0] };
             let sum = tiles.entry(tile).or_default().entry(index).or_insert(empty);
             sum.hits = sum.hits.saturating_add(hits.hits);
@@ -31,10 +28,8 @@ pub fn moved(shares: &[Share], offsets: &Offsets) -> BTreeMap<TileId, Vec<CellHi
 }
 
 /// The cell that a cell's hits move to, and their offsets in it.
-fn shifted(first: CellIndex, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHits) {
-    let side = CELLS_PER_TILE as u32;
-    let from =
-        CellIndex { x: first.x + i64::from(cell.index % side), y: first.y + i64::from(cell.index / side) };
+fn shifted(id: TileId, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHits) {
+    let from = id.cell(cell.index);
     let steps = i64::from(OFFSET_STEPS);
     let hits = i64::from(cell.hits);
     let mean = cell.offset_sum.map(|sum| f64::from(sum) / f64::from(cell.hits) / f64::from(OFFSET_STEPS));
@@ -103,13 +98,13 @@ mod tests {
     fn moments(tiles: &BTreeMap<TileId, Vec<CellHits>>) -> [i64; 3] {
         let mut sums = [0; 3];
         for (tile, cells) in tiles {
-            let (corner, zero) = (tile.first_cell(), id().first_cell());
+            let zero = id().first_cell();
             for cell in cells {
-                let (column, row) = (i64::from(cell.index % 512), i64::from(cell.index / 512));
+                let CellIndex { x, y } = tile.cell(cell.index);
                 let hits = i64::from(cell.hits);
                 sums[0] += hits;
-                sums[1] += i64::from(cell.offset_sum[0]) + 256 * hits * (corner.x - zero.x + column);
-                sums[2] += i64::from(cell.offset_sum[1]) + 256 * hits * (corner.y - zero.y + row);
+                sums[1] += i64::from(cell.offset_sum[0]) + 256 * hits * (x - zero.x);
+                sums[2] += i64::from(cell.offset_sum[1]) + 256 * hits * (y - zero.y);
             }
         }
         sums

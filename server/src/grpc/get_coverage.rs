@@ -35,7 +35,7 @@ pub(super) async fn get_coverage(
         let _place = place;
         let mut response = coverage(&*store, &route)?;
         if request.expectations {
-            response.expected = expected(&expectations, &route)?;
+            response.expected = expected(&*store, &expectations, &route)?;
         }
         Ok(response)
     })
@@ -72,12 +72,20 @@ fn coverage(store: &dyn MapStore, route: &[LatLon]) -> Result<GetCoverageRespons
 }
 
 /// What fixes along a route can be expected to be.
-fn expected(expectations: &Expectations, route: &[LatLon]) -> Result<Vec<ExpectedFix>, Status> {
+fn expected(
+    store: &dyn MapStore,
+    expectations: &Expectations,
+    route: &[LatLon],
+) -> Result<Vec<ExpectedFix>, Status> {
     let unmapped = ExpectedFix { status: FixStatus::TooLittleMap.into(), ..ExpectedFix::default() };
-    route.iter().map(|at| Ok(expected_at(expectations, *at)?.unwrap_or(unmapped))).collect()
+    route.iter().map(|at| Ok(expected_at(store, expectations, *at)?.unwrap_or(unmapped))).collect()
 }
 
-fn expected_at(expectations: &Expectations, at: LatLon) -> Result<Option<ExpectedFix>, Status> {
+fn expected_at(
+    store: &dyn MapStore,
+    expectations: &Expectations,
+    at: LatLon,
+) -> Result<Option<ExpectedFix>, Status> {
     let Ok(grid) = Grid::of(at) else { return Ok(None) };
     let Ok([x_m, y_m]) = grid.project(at) else { return Ok(None) };
     let id = TileId::of(grid.zone(), [x_m, y_m]);
@@ -99,7 +107,7 @@ fn expected_at(expectations: &Expectations, at: LatLon) -> Result<Option<Expecte
         margin: fix.margin,
         rival_east_m: fix.rival.map(|rival| rival.x_m),
         rival_north_m: fix.rival.map(|rival| rival.y_m),
-        version: tile.version,
+        version: store.told(tile.version),
     }))
 }
 

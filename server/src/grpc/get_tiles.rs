@@ -33,7 +33,6 @@ pub(super) type Answer = ReceiverStream<Result<GetTilesResponse, Status>>;
 
 /// What to send.
 struct Plan {
-    lineage: u64,
     /// Read before any tile: every tile is at least as new.
     epoch: u64,
     send: Vec<TileId>,
@@ -74,8 +73,8 @@ async fn send(
         absent: plan.absent.into_iter().map(tile_id).collect(),
     };
     for id in plan.send {
-        let store = store.clone();
-        let read = blocking(move || store.tile(id).map_err(|error| status::store(&error))).await;
+        let reader = store.clone();
+        let read = blocking(move || reader.tile(id).map_err(|error| status::store(&error))).await;
         let tile = match read.and_then(|read| read) {
             Ok(Some(tile)) => tile,
             // Taken back since the catalog was asked.
@@ -90,7 +89,8 @@ async fn send(
             }
         };
         summary.sent += 1;
-        for part in parts(id, &tile, plan.lineage) {
+        let version = store.told(tile.version);
+        for part in parts(id, &tile, version) {
             let message = GetTilesResponse { part: Some(part) };
             if sender.send_timeout(Ok(message), stall).await.is_err() {
                 return;
@@ -102,16 +102,11 @@ async fn send(
     let _ = sender.send_timeout(Ok(last), stall).await;
 }
 
-/// A version as callers know it: one of another lineage is another.
-fn told(lineage: u64, version: u64) -> u64 {
-    lineage.wrapping_add(version)
-}
-
 /// A tile as messages, each made when it is its turn.
-fn parts(id: TileId, tile: &StoredTile, lineage: u64) -> impl Iterator<Item = Part> {
+fn parts(id: TileId, tile: &StoredTile, version: u64) -> impl Iterator<Item = Part> {
     let encoded = tile.encoded();
     let first = TileData {
-        version: Some(v1::TileVersion { tile: Some(tile_id(id)), version: told(lineage, tile.version) }),
+        version: Some(v1::TileVersion { tile: Some(tile_id(id)), version }),
         encoded: encoded[..encoded.len().min(MAX_PIECE)].to_vec(),
         encoded_bytes: encoded.len() as u64,
     };
@@ -123,11 +118,11 @@ fn parts(id: TileId, tile: &StoredTile, lineage: u64) -> impl Iterator<Item = Pa
 }
 
 fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {
-    let (epoch, lineage) = (store.progress().borrow().epoch, store.lineage());
+    let epoch = store.progress().borrow().epoch;
     let have = have(request.have).map_err(|violation| status::invalid(&violation))?;
     let selection = required(request.selection, "selection").map_err(|v| status::invalid(&v))?;
     let (mut plan, mut asked) =
-        (Plan { lineage, epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
+        (Plan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
     let found = match selection {
         Selection::Tiles(list) => {
             asked.extend(ids(&list.ids, "tiles.ids").map_err(|violation| status::invalid(&violation))?);
@@ -138,7 +133,7 @@ fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> 
         Selection::Area(area) => area::tiles(store, &area)?,
     };
     let found: BTreeMap<TileId, u64> =
-        found.into_iter().map(|info| (info.id, told(lineage, info.version))).collect();
+        found.into_iter().map(|info| (info.id, store.told(info.version))).collect();
     asked.extend(found.keys());
     for id in &asked {
         match (found.get(id), have.get(id)) {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read, Write};
 use std::ops::RangeInclusive;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use axum::Router;
@@ -47,12 +47,19 @@ pub struct FakeStore {
     tiles: Mutex<BTreeMap<TileId, StoredTile>>,
     /// Tiles asked for.
     pub reads: AtomicUsize,
+    /// The map's lineage.
+    pub lineage: AtomicU64,
     progress: watch::Sender<Progress>,
 }
 
 impl Default for FakeStore {
     fn default() -> Self {
-        Self { tiles: Mutex::default(), reads: AtomicUsize::new(0), progress: watch::Sender::new(serving(1)) }
+        Self {
+            tiles: Mutex::default(),
+            reads: AtomicUsize::new(0),
+            lineage: AtomicU64::new(0),
+            progress: watch::Sender::new(serving(1)),
+        }
     }
 }
 
@@ -117,7 +124,7 @@ impl MapStore for FakeStore {
     }
 
     fn lineage(&self) -> u64 {
-        0
+        self.lineage.load(Ordering::Relaxed)
     }
 
     fn commit(&self, _: Upload) -> Result<Receipt, Error> {

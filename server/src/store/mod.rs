@@ -248,6 +248,11 @@ pub trait MapStore: Send + Sync {
     /// backup is restored, and where the manifest was deleted for the map to go on in another way.
     fn lineage(&self) -> u64;
 
+    /// A version as callers are told it: equal ones stand for equal evidence, of whichever lineage they are.
+    fn told(&self, version: u64) -> u64 {
+        self.lineage().wrapping_add(version)
+    }
+
     /// Writes an upload to the journal and syncs it, exactly once by its id. Folding follows in
     /// the background, see [`MapStore::progress`].
     ///

@@ -13,6 +13,9 @@ use crate::statistics::Percentiles;
 /// Room for all windows of the street.
 pub(super) const ROOM: &str = "locating.tile_cache_mib=8192";
 
+/// No answer is asked again of another engine, whose images would count as the street's.
+const UNCONFIRMED: &str = "locating.confirm_share=0.0";
+
 /// What it costs to come to a street.
 #[derive(Debug, Clone, Serialize)]
 pub struct Cold {
@@ -36,9 +39,8 @@ pub struct Cold {
 /// # Errors
 /// When the service does not come up or answer.
 pub(super) async fn measure(town: &Town, folder: &Path) -> anyhow::Result<Cold> {
-    let service =
-        Service::start(folder, &["locating.threads=1".to_owned(), ROOM.to_owned(), TRUSTING.to_owned()])
-            .await?;
+    let settings = ["locating.threads=1", ROOM, TRUSTING, UNCONFIRMED].map(str::to_owned);
+    let service = Service::start(folder, &settings).await?;
     let used = || service.pid().and_then(used_by).map(|used| used.as_secs_f64() * 1e3);
     let held = || service.pid().and_then(held_by).map(|kibibytes| kibibytes as f64 * 1024e-6);
     let (used_0, held_0) = (used(), held());

@@ -82,7 +82,7 @@ impl Plan {
             clients_per_thread: 4,
             repetitions: 20,
             half_widths_m: vec![6.0, 12.0, 30.0],
-            cells: vec![8_000, 20_000, 50_000, 100_000, 200_000],
+            cells: vec![8_000, 20_000, 50_000, 100_000],
             sized: 3,
             lost: 120,
         }

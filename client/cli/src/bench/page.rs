@@ -122,7 +122,7 @@ fn by_size(sizes: &[Size], plan: &Plan) -> String {
     table
         + &format!(
             "\nMeans of {batches} batch(es), 19 headings; larger batches hold copies of their detections, scattered by \
-             0.6 m. `bounded` asks `fft` where its bounds rule out too little.\n"
+             1 m. `bounded` asks `fft` where its bounds rule out too little.\n"
         )
 }
 

@@ -83,7 +83,7 @@ fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> 
         ),
         _ => (
             "A crowd",
-            "Maps of more contributors, who took other ways at other times of the same day. The map's own error shrinks as their poses average. The floor below which no number of them brings a fix is what 5 s of returns can tell: their scatter of some 20 cm, and cars that stand elsewhere now.\n",
+            "Maps of more contributors, who took other ways at other times of the same day. The map's own error shrinks as their poses average. Fixes gain less: what is left once the map is good to some centimetres is what 5 s of returns tell.\n",
             "ccdf-crowd.svg",
         ),
     };

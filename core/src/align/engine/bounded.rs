@@ -21,7 +21,7 @@ const BLOCK: usize = 8;
 const STRIP: usize = 16;
 /// Blocks left beyond which the FFT is faster.
 const TOO_MANY: usize = 2500;
-/// Occupied cells of a heading beyond which the FFT is faster: most blocks of a batch so dense are left.
+/// Occupied cells of a batch beyond which the FFT is faster: most blocks of a batch so dense are left.
 const DENSE: usize = 40_000;
 /// Half width of the search for the best sum around a hill that was found, cells.
 const AROUND: usize = 5;
@@ -78,6 +78,12 @@ impl Engine for Bounded {
     }
 
     fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>) {
+        let middle = &mut self.places;
+        question.occupied(self.isa, question.lattice.turns, &mut self.once, middle);
+        if middle.len() > DENSE {
+            self.fft.search(question, peaks);
+            return;
+        }
         self.fast.search(question, peaks);
         self.refresh(question);
         let headings = question.lattice.headings();
@@ -85,10 +91,6 @@ impl Engine for Bounded {
         self.occupied.resize_with(self.occupied.len().max(headings), Vec::new);
         for (heading, occupied) in self.occupied[..headings].iter_mut().enumerate() {
             question.occupied(self.isa, heading, &mut self.once, occupied);
-        }
-        if self.occupied[..headings].iter().any(|occupied| occupied.len() > DENSE) {
-            self.fft.search(question, peaks);
-            return;
         }
         let mut best = Best::default();
         if let Some(peak) = peaks.first() {

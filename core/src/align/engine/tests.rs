@@ -90,8 +90,8 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
     let tile = |id: TileId| {
         let mut cells = std::collections::BTreeMap::<u32, Cell>::new();
         for point in points.iter().filter(|p| TileId::of(frame.zone, **p) == id) {
-            let (cell, first) = (CellIndex::of(*point), id.first_cell());
-            let entry = cells.entry(((cell.y - first.y) * 512 + cell.x - first.x) as u32).or_default();
+            let cell = CellIndex::of(*point);
+            let entry = cells.entry(TileId::locate(frame.zone, cell).1).or_default();
             entry.hits += 1;
             entry.passes = 1;
             entry.presence = crate::evidence::presence::ALWAYS;

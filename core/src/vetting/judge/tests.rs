@@ -52,9 +52,7 @@ fn seen(points: &[[f64; 2]], off: Pose2, noise: u64) -> Cells {
         let [x, y] = off.transform(noisy);
         let place = [MIDDLE[0] + x, MIDDLE[1] + y];
         let cell = CellIndex::of(place);
-        let id = TileId::of_cell(zone(), cell);
-        let first = id.first_cell();
-        let index = ((cell.y - first.y) * 512 + cell.x - first.x) as u32;
+        let (id, index) = TileId::locate(zone(), cell);
         let empty = CellHits { index, hits: 0, offset_sum: [0, 0] };
         let sum = tiles.entry(id).or_default().entry(index).or_insert(empty);
         sum.hits += 1;

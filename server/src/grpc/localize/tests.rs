@@ -23,10 +23,7 @@ fn posts() -> Vec<[f64; 2]> {
 fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
     let mut tiles = std::collections::BTreeMap::<TileId, std::collections::BTreeMap<u32, Cell>>::new();
     for [dx, dy] in posts() {
-        let cell = CellIndex::of([x + dx, y + dy]);
-        let id = TileId::of_cell(grid.zone(), cell);
-        let first = id.first_cell();
-        let index = (cell.y - first.y) * 512 + cell.x - first.x;
+        let (id, index) = TileId::locate(grid.zone(), CellIndex::of([x + dx, y + dy]));
         let middle = Cell {
             hits: 1,
             passes: 1,
@@ -35,7 +32,7 @@ fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
             offset_sum: [128, 128],
             ..Cell::default()
         };
-        tiles.entry(id).or_default().insert(index as u32, middle);
+        tiles.entry(id).or_default().insert(index, middle);
     }
     let store = FakeStore::default();
     for (id, cells) in tiles {

@@ -68,7 +68,7 @@ impl Artist {
             _ => Scene::near(&*self.store, layer, &view)?,
         };
         let newest_day = self.store.totals().newest_day;
-        let tag = scene.tag(layer, &view, newest_day);
+        let tag = scene.tag(layer, &view, self.store.lineage(), newest_day);
         if is_known(&tag) {
             return Ok(Answer { tag, png: None });
         }

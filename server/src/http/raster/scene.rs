@@ -65,10 +65,10 @@ impl Scene {
         Ok(Self::Near(parts))
     }
 
-    /// Names what the view shows: equal tags, equal pictures.
-    pub fn tag(&self, layer: Layer, view: &View, newest_day: u16) -> String {
+    /// Names what the view shows of a map of some lineage: equal tags, equal pictures.
+    pub fn tag(&self, layer: Layer, view: &View, lineage: u64, newest_day: u16) -> String {
         let mut hash = DefaultHasher::new();
-        (env!("CARGO_PKG_VERSION"), layer, view).hash(&mut hash);
+        (env!("CARGO_PKG_VERSION"), layer, view, lineage).hash(&mut hash);
         if layer == Layer::Age {
             newest_day.hash(&mut hash);
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use echofix_core::drive::Drive;
 use echofix_core::evidence::CellHits;
-use echofix_core::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use echofix_core::geo::{CELL_M, CellIndex, TileId};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
 use echofix_sim::City;
@@ -103,20 +103,12 @@ pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
     for step in -steps / 2..steps / 2 {
         let aside = f64::from(step) * CELL_M;
         let place = site.to_map([0, 1].map(|axis| middle[axis] + aside * across[axis]));
-        let (id, index) = cell_at(site.zone(), place);
+        let (id, index) = TileId::locate(site.zone(), CellIndex::of(place));
         let half = WALL_HITS * 128;
         let hit = CellHits { index, hits: WALL_HITS, offset_sum: [half, half] };
         cells.entry(id).or_default().insert(index, hit);
     }
     cells.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
-}
-
-/// The tile of a place in map metres, and the cell's index in it.
-fn cell_at(zone: Zone, place: [f64; 2]) -> (TileId, u32) {
-    let cell = CellIndex::of(place);
-    let id = TileId::of_cell(zone, cell);
-    let first = id.first_cell();
-    (id, ((cell.y - first.y) * CELLS_PER_TILE as i64 + (cell.x - first.x)) as u32)
 }
 
 /// Adds hits to an upload, in the tiles it tells of anyway.

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
-use super::town::{self, Way, way_m};
+use super::town::{self, Way};
 use super::uploads::{Sending, Upload, cut};
 use super::{Scale, Told, table};
 use crate::evaluate::cells;
@@ -131,7 +131,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
         Ok(Worth { bytes: uploads.iter().map(|upload| form.bytes(&upload.contribution)).sum(), fixes })
     };
     let worths = FORMS.par_iter().map(worth).collect::<anyhow::Result<_>>()?;
-    Ok((worths, mapping.iter().map(way_m).sum::<f64>() / 1e3))
+    Ok((worths, mapping.iter().map(|drive| drive.odometry.travelled_m()).sum::<f64>() / 1e3))
 }
 
 /// The map that is served of some uploads.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use echofix_core::agreement::PointIndex;
 use echofix_core::drive::Drive;
-use echofix_core::geo::{CELL_M, CELLS_PER_TILE, CellIndex, Grid, TileId};
+use echofix_core::geo::{CELL_M, CellIndex, Grid, TileId};
 use echofix_core::tile::Tile;
 use echofix_sim::City;
 use rand::{RngExt, SeedableRng};
@@ -110,11 +110,6 @@ impl Hits {
     }
 }
 
-fn cell(id: TileId, index: u32) -> CellIndex {
-    let (first, side) = (id.first_cell(), CELLS_PER_TILE as u32);
-    CellIndex { x: first.x + i64::from(index % side), y: first.y + i64::from(index / side) }
-}
-
 /// A town that somebody drives through who is not of the crowd.
 struct Visit {
     city: City,
@@ -155,7 +150,7 @@ impl Visit {
         let mut outcome = Outcome { made_up: [0, self.made_up.len()], ..Outcome::default() };
         let mut served = BTreeMap::new();
         for (id, tile) in tiles {
-            let is_served = |index: u32| least == 0 || hits.count(rule, cell(*id, index)) >= least;
+            let is_served = |index: u32| least == 0 || hits.count(rule, id.cell(index)) >= least;
             let kept: Vec<_> = tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
             outcome.served[0] += kept.len();
             outcome.served[1] += tile.len();
@@ -192,7 +187,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
         let drive = town::drive(&visit.city, who, Way::Survey, u64::from(who))?;
         for upload in cut(&drive, zone, Sending::of(u64::from(who)))? {
             for (id, share) in map.offer(&upload).into_iter().flatten() {
-                share.cells.iter().for_each(|hit| hits.add(cell(id, hit.index), who));
+                share.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
             }
         }
         if CROWDS.contains(&(who + 1)) {

@@ -40,12 +40,6 @@ pub fn drive(city: &City, day: u32, way: Way, number: u64) -> anyhow::Result<Dri
     simulated::drive(city, day, &route, seed)
 }
 
-/// Length of a drive, metres.
-pub fn way_m(drive: &Drive) -> f64 {
-    let poses: Vec<_> = drive.odometry.iter().map(|(_, pose)| pose).collect();
-    poses.windows(2).map(|two| two[1].distance_m(&two[0])).sum()
-}
-
 /// A day of the simulation, counted from the Unix epoch.
 pub fn utc_day(day: u32) -> u16 {
     let first = downtown::drive().start_time_us.div_euclid(DAY_US);
