@@ -40,7 +40,7 @@ use load::Load;
 use lost::Lost;
 pub use page::page;
 use sizes::Size;
-use town::Town;
+use town::{Town, Uploads};
 
 /// How much is measured.
 #[derive(Debug, Clone, Serialize)]
@@ -118,6 +118,8 @@ pub struct Figures {
     pub street_km: f64,
     /// Detections of the median request.
     pub detections: usize,
+    /// What the map's uploads cost.
+    pub uploads: Uploads,
     /// A street seen for the first time.
     pub cold: Cold,
     /// Load, by the service's compute threads.
@@ -176,6 +178,7 @@ pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Resu
     Ok(Figures {
         machine: Machine::here(),
         street_km: town.street_km,
+        uploads: town.uploads,
         detections: inside::detections(scene.requests()),
         plan,
         cold,

@@ -9,6 +9,7 @@ use super::lengths::Length;
 use super::load::Load;
 use super::lost::Lost;
 use super::sizes::Size;
+use super::town::Uploads;
 use super::{Figures, Plan};
 use crate::statistics::Percentiles;
 
@@ -30,6 +31,7 @@ pub fn page(figures: &Figures, command: &str) -> String {
     page += &by_length(&figures.lengths);
     page += &of_lost(&figures.lost);
     page += &street(cold);
+    page += &of_uploads(&figures.uploads);
     if let Some(Percentiles { p50, p95, p99 }) = figures.error_m {
         let usable = figures.usable_share * 100.0;
         let line = format!(
@@ -122,7 +124,7 @@ fn by_size(sizes: &[Size], plan: &Plan) -> String {
     table
         + &format!(
             "\nMeans of {batches} batch(es), 19 headings; larger batches hold copies of their detections, scattered by \
-             1 m. `bounded` asks `fft` where its bounds rule out too little.\n"
+             0.6 m. `bounded` asks `fft` where its bounds rule out too little.\n"
         )
 }
 
@@ -149,6 +151,17 @@ fn of_lost(lost: &Lost) -> String {
         "\n### Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
          wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
          {misled} that are not. Search, climb and verdict take {ms} ms (50 / 95 / 99 %).\n"
+    )
+}
+
+fn of_uploads(uploads: &Uploads) -> String {
+    let Uploads { count, kb, cpu_ms } = *uploads;
+    let each = |all: f64| all / count.max(1) as f64;
+    format!(
+        "\n### An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \
+         decoded, written, vetted against the map, folded into it.\n",
+        each(kb),
+        or_unknown(cpu_ms.map(each), 1)
     )
 }
 

@@ -20,9 +20,9 @@ use super::engines::Case;
 use super::inside::{Scene, timed};
 
 /// Copies of a detection lie so far from it, one sigma along each axis, metres.
-const SCATTER_M: f32 = 1.0;
+const SCATTER_M: f32 = 0.6;
 /// More copies of a batch than any size needs: what they add gets ever less.
-const COPIES: usize = 100;
+const COPIES: usize = 200;
 
 /// The search in one window, of batches of one size.
 #[derive(Debug, Clone, Serialize)]

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use echofix_core::drive::Drive;
 use echofix_sim::{City, CityParams, Route};
 use indicatif::ProgressBar;
+use serde::Serialize;
 
 use super::Plan;
 use crate::commands::simulate;
 use crate::contribute;
 use crate::fixes::{self, Recording};
+use crate::machine::used_by;
 use crate::service::Service;
 
 /// Two vehicles are enough to make a map.
@@ -24,8 +26,20 @@ const LENGTHS_S: [f64; 4] = [1.0, 2.0, 5.0, 8.0];
 /// Days between mapping and asking: the parked cars have changed.
 const DAYS_LATER: u32 = 3;
 
+/// What the vehicles' uploads cost the service: decoded, written, vetted against the map and folded into it.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Uploads {
+    /// Uploads.
+    pub count: u64,
+    /// Kilobytes of all of them on the wire.
+    pub kb: f64,
+    /// Milliseconds of the service's processor time for all of them; absent where the system does not tell.
+    pub cpu_ms: Option<f64>,
+}
+
 /// A town whose map lies in a folder.
 pub(super) struct Town {
+    pub(super) uploads: Uploads,
     pub(super) street_km: f64,
     pub(super) recording: Arc<Recording>,
     /// The same drive, asking with batches of other lengths, by seconds.
@@ -41,21 +55,27 @@ impl Town {
         let params = CityParams { seed: plan.seed, blocks_x, blocks_y, ..CityParams::default() };
         let city = City::generate(&params)?;
         let service = Service::start(folder, &[TRUSTING.to_owned()]).await?;
+        let used_ms = || Some(service.pid().and_then(used_by)?.as_secs_f64() * 1e3);
+        let (began_ms, mut uploads) = (used_ms(), Uploads::default());
         for vehicle in 0..plan.contributors {
             let seed = plan.seed * 1000 + vehicle;
             let name = format!("mapper-{vehicle}");
             let drive = simulate::drive(&city, 0, &Route::survey(&city, seed), name, seed)?;
             let spool = folder.join(format!("spool-{vehicle}"));
             let bar = ProgressBar::hidden();
-            contribute::upload(&drive, &service.grpc, &spool, contribute::simulated(), &bar).await?;
+            let done =
+                contribute::upload(&drive, &service.grpc, &spool, contribute::simulated(), &bar).await?;
+            uploads.count += done.uploads;
+            uploads.kb += done.bytes as f64 / 1e3;
         }
         service.settled().await?;
+        uploads.cpu_ms = used_ms().zip(began_ms).map(|(after, before)| after - before);
         service.stop().await?;
-        Self::asked(plan, &city)
+        Self::asked(plan, &city, uploads)
     }
 
     /// What a vehicle asks on a later day, each second of a drive.
-    fn asked(plan: &Plan, city: &City) -> anyhow::Result<Self> {
+    fn asked(plan: &Plan, city: &City, uploads: Uploads) -> anyhow::Result<Self> {
         let seed = plan.seed * 1000 + 999;
         let route = Route::survey(city, seed);
         let mut drive = simulate::drive(city, DAYS_LATER, &route, "lost".to_owned(), seed)?;
@@ -70,7 +90,7 @@ impl Town {
         let of_length = |batch_s| Ok((batch_s, Recording::of(&drive, &questions(plan, batch_s))?));
         let by_length = LENGTHS_S.into_iter().map(of_length).collect::<anyhow::Result<_>>()?;
         let street_km = city.streets_m() / 1e3;
-        Ok(Self { street_km, recording: Arc::new(recording), by_length, asked_over_m })
+        Ok(Self { uploads, street_km, recording: Arc::new(recording), by_length, asked_over_m })
     }
 }
 
