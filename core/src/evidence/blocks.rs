@@ -11,9 +11,9 @@ pub const VIEW_BLOCKS: usize = VIEW_BLOCKS_PER_SIDE * VIEW_BLOCKS_PER_SIDE;
 /// Side of a view block, metres.
 pub const VIEW_BLOCK_M: f64 = VIEW_BLOCK_CELLS as f64 * CELL_M;
 
-/// Cells along the side of a support block: 0.8 m, wide enough that contributors whose positioning
-/// errs by some decimetres support the same one.
-pub const SUPPORT_BLOCK_CELLS: usize = 8;
+/// Cells along the side of a support block: 0.4 m. Uploads are moved onto the map before they are folded, so that
+/// contributors who saw the same thing support the same block; in wider ones strangers' clutter meets.
+pub const SUPPORT_BLOCK_CELLS: usize = 4;
 /// Support blocks of a tile.
 pub const SUPPORT_BLOCKS: usize = (CELLS_PER_TILE / SUPPORT_BLOCK_CELLS).pow(2);
 

@@ -1,7 +1,7 @@
 //! The bytes of a tile and of a ledger.
 //!
 //! ```text
-//! magic "EFT" or "EFL" | format version 2 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
+//! magic "EFT" or "EFL" | format version 2 or 3 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
 //! ```
 //!
 //! The frame holds LEB128 varints, one column after the other: a column's values resemble each
@@ -18,7 +18,7 @@ pub use crate::sealed::DecodeError;
 use crate::sealed::{self, Kind};
 use crate::varint::{Reader, Writer};
 
-const TILE: Kind = Kind { magic: *b"EFT", version: 2 };
+const TILE: Kind = Kind { magic: *b"EFT", version: 3 };
 const LEDGER: Kind = Kind { magic: *b"EFL", version: 2 };
 const ZSTD_LEVEL: i32 = 3;
 /// A full tile's columns stay below this; anything larger is not ours.

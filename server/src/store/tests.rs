@@ -116,6 +116,13 @@ proptest! {
     }
 }
 
+/// A store takes uploads, folds them and ends.
+fn folded_and_closed(dir: &Path, uploads: &[Upload]) {
+    let store = open(dir);
+    commit_all(&store, uploads);
+    caught_up(&store);
+}
+
 #[test]
 fn deleted_tiles_are_rebuilt_to_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
@@ -133,10 +140,7 @@ fn deleted_tiles_are_rebuilt_to_the_same_bytes() {
 fn tiles_that_cannot_be_opened_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(20);
-    let store = open(dir.path());
-    commit_all(&store, &uploads);
-    caught_up(&store);
-    drop(store);
+    folded_and_closed(dir.path(), &uploads);
     for file in ["conf", "db"] {
         std::fs::write(tiles_dir(dir.path()).join(file), [0xa5; 9000]).unwrap();
         assert_eq!(map(&open(dir.path())), model(&uploads), "{file}");
@@ -148,10 +152,7 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
 fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(20);
-    let store = open(dir.path());
-    commit_all(&store, &uploads);
-    caught_up(&store);
-    drop(store);
+    folded_and_closed(dir.path(), &uploads);
     let tiles = tiles_dir(dir.path());
     std::fs::remove_dir_all(&tiles).unwrap();
     let older = sled::Config::new().path(&tiles).segment_size(4 << 20).open().unwrap();

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use echofix_core::agreement::PointIndex;
 use echofix_core::drive::Drive;
+use echofix_core::evidence::SUPPORT_BLOCK_CELLS;
 use echofix_core::geo::{CELL_M, CellIndex, Grid, TileId};
 use echofix_core::tile::Tile;
 use echofix_sim::City;
@@ -62,7 +63,9 @@ impl Rule {
         let cm = |cells: i64| (100.0 * CELL_M) as i64 * cells;
         match self {
             Self::Any => "nothing".to_owned(),
-            Self::Block(8) => "three in the same block of 80 cm (as it is)".to_owned(),
+            Self::Block(side) if side == SUPPORT_BLOCK_CELLS as i64 => {
+                format!("three in the same block of {} cm (as it is)", cm(side))
+            }
             Self::Block(cells) => format!("three in the same block of {} cm", cm(cells)),
             Self::Within(cells) => format!("three in cells {} cm off or less", cm(cells)),
             Self::Share(cells, percent) => {
