@@ -100,9 +100,7 @@ impl EmbeddedStore {
         let exclusion = index.exclusion(index.newest_control());
         let controls: BTreeMap<_, _> = index.controls().into_iter().collect();
         let mut runs = Runs::default();
-        index.visit(0..=index.newest(), |number, noted| {
-            runs.add(number, noted.day, noted.kind, exclusion.excludes(number, noted.kind));
-        });
+        index.visit(|number, day, kind| runs.add(number, day, kind, exclusion.excludes(number, kind)));
         let skipped = runs.events.len().saturating_sub(limit);
         let mut events = runs.events.split_off(skipped);
         for event in &mut events {

@@ -1,7 +1,10 @@
 //! Which records the journal holds, where they lie, and what of them counts.
+//!
+//! It stays in memory for as long as the records stay in the journal, since a vehicle may send an upload again: 16
+//! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment share is kept
+//! once for all of them.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::ops::RangeInclusive;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -31,23 +34,34 @@ struct State {
     numbers: HashMap<Uuid, u64>,
     imports: HashMap<(Uuid, TileId), u64>,
     controls: BTreeMap<u64, Control>,
+    /// Files that records are tiles of.
+    files: BTreeMap<u64, Uuid>,
     /// Number of the record before the first.
     before: u64,
-    /// In order of their numbers.
+    /// In order of their numbers, and so are the runs they come in.
     records: Vec<Noted>,
-    uploads: u64,
+    runs: Vec<Run>,
     /// Uploads being written.
     pending: HashSet<Uuid>,
     ended: bool,
 }
 
-/// A record in the journal.
-#[derive(Debug, Clone)]
-pub(super) struct Noted {
-    at: Position,
-    /// UTC day it was written on.
-    pub(super) day: u16,
-    pub(super) kind: Kind,
+/// A record in the journal, without what its run, the controls and the files say of it.
+#[derive(Clone, Copy)]
+struct Noted {
+    offset: u32,
+    length: u32,
+    /// Of an upload.
+    contributor: u64,
+}
+
+/// Records of one segment that were written on one day.
+struct Run {
+    /// Number of the first of them.
+    first: u64,
+    segment: u64,
+    /// UTC day.
+    day: u16,
 }
 
 /// What folding does next.
@@ -107,7 +121,8 @@ impl Index {
 
     /// Is anything of a kind in the journal after a number?
     pub(super) fn any_after(&self, number: u64, kind: Kind) -> bool {
-        self.lock().numbered().any(|(at, noted)| at > number && noted.kind == kind)
+        let state = self.lock();
+        (number + 1..=state.newest()).any(|at| state.kind(at) == Some(kind))
     }
 
     /// A journal without records goes on after this number.
@@ -125,22 +140,25 @@ impl Index {
             state.before = written.number - 1;
         }
         debug_assert_eq!(written.number, state.newest() + 1);
-        let kind = match note.what {
+        let Written { number, at: Position { segment, offset, length } } = written;
+        let mut noted = Noted { offset, length, contributor: 0 };
+        match note.what {
             What::Upload { id, contributor } => {
-                state.numbers.insert(id, written.number);
-                state.uploads += 1;
-                Kind::Upload { contributor }
+                state.numbers.insert(id, number);
+                noted.contributor = contributor;
             }
             What::Import { file, tile } => {
-                state.imports.insert((file, tile), written.number);
-                Kind::Import { file }
+                state.imports.insert((file, tile), number);
+                state.files.insert(number, file);
             }
             What::Control(control) => {
-                state.controls.insert(written.number, control);
-                Kind::Control
+                state.controls.insert(number, control);
             }
-        };
-        state.records.push(Noted { at: written.at, day: note.day, kind });
+        }
+        if state.runs.last().is_none_or(|run| (run.segment, run.day) != (segment, note.day)) {
+            state.runs.push(Run { first: number, segment, day: note.day });
+        }
+        state.records.push(noted);
         self.changed.notify_all();
     }
 
@@ -151,7 +169,8 @@ impl Index {
 
     /// Where the newest record lies.
     pub(super) fn newest_at(&self) -> Option<Position> {
-        self.lock().records.last().map(|noted| noted.at)
+        let state = self.lock();
+        state.at(state.newest())
     }
 
     /// Number of the record before the first.
@@ -161,19 +180,17 @@ impl Index {
 
     /// Day the newest record was written on.
     pub(super) fn newest_day(&self) -> Option<u16> {
-        self.lock().records.last().map(|noted| noted.day)
+        self.lock().runs.last().map(|run| run.day)
     }
 
     /// Uploads in the journal.
     pub(super) fn uploads(&self) -> u64 {
-        self.lock().uploads
+        self.lock().numbers.len() as u64
     }
 
     /// Uploads among the records up to a number.
     pub(super) fn uploads_up_to(&self, last: u64) -> u64 {
-        let state = self.lock();
-        let records = state.numbered().take_while(|(number, _)| *number <= last);
-        records.filter(|(_, noted)| matches!(noted.kind, Kind::Upload { .. })).count() as u64
+        self.lock().numbers.values().filter(|number| **number <= last).count() as u64
     }
 
     /// Number of the newest control; 0 without any.
@@ -226,19 +243,18 @@ impl Index {
         let state = self.lock();
         let mut exclusion = Exclusion::default();
         exclusion.add(number, action, |id| state.numbers.get(&id).copied());
-        state.numbered().filter(|(number, noted)| exclusion.excludes(*number, noted.kind)).count() as u64
+        state.kinds().filter(|(number, kind)| exclusion.excludes(*number, *kind)).count() as u64
     }
 
     /// The last record before which, with it, all were written before a day, and whose segment ends
     /// with it: the segments up to it can go. `None` when there is no such record.
     pub(super) fn last_before(&self, day: u16) -> Option<u64> {
         let state = self.lock();
-        let mut old = state.records.iter().take_while(|noted| noted.day < day).count();
-        // A clock that was set back leaves days of no order: then the cut is made before the segment.
-        if let Some(next) = state.records.get(old) {
-            old = old.min(state.records.partition_point(|noted| noted.at.segment < next.at.segment));
-        }
-        (old > 0).then_some(state.before + old as u64)
+        // A clock that was set back leaves days of no order: the cut is made before the first young segment, which
+        // is named by its first record.
+        let young = state.runs.iter().find(|run| run.day >= day);
+        let last = young.map_or(state.newest(), |run| run.segment - 1);
+        (last > state.before).then_some(last)
     }
 
     /// The next records after a number and up to another, as many as are folded at a time.
@@ -250,8 +266,8 @@ impl Index {
     pub(super) fn counted(&self, group: &[Written], exclusion: &Exclusion) -> Vec<Written> {
         let state = self.lock();
         let counts = |written: &&Written| {
-            let noted = state.get(written.number);
-            noted.is_some_and(|noted| !exclusion.excludes(written.number, noted.kind))
+            let kind = state.kind(written.number);
+            kind.is_some_and(|kind| !exclusion.excludes(written.number, kind))
         };
         group.iter().filter(counts).copied().collect()
     }
@@ -275,25 +291,29 @@ impl Index {
         }
     }
 
-    /// Visits the records, oldest first.
-    pub(super) fn visit(&self, range: RangeInclusive<u64>, mut each: impl FnMut(u64, &Noted)) {
+    /// Visits the records, oldest first: their numbers, days and kinds.
+    pub(super) fn visit(&self, mut each: impl FnMut(u64, u16, Kind)) {
         let state = self.lock();
-        let inside = state.numbered().filter(|(number, _)| range.contains(number));
-        inside.for_each(|(number, noted)| each(number, noted));
+        for (number, kind) in state.kinds() {
+            each(number, state.run(number).day, kind);
+        }
     }
 
     /// Forgets the records up to this one: they are in the base, and their segments go.
     pub(super) fn forget_up_to(&self, last: u64) {
         let mut state = self.lock();
         let gone = last.saturating_sub(state.before).min(state.records.len() as u64);
-        let forgotten = state.records.drain(..gone as usize);
-        let uploads = forgotten.filter(|noted| matches!(noted.kind, Kind::Upload { .. })).count();
-        state.uploads -= uploads as u64;
         state.before += gone;
         let before = state.before;
+        let runs = state.runs.partition_point(|run| run.first <= before + 1).saturating_sub(1);
+        state.runs.drain(..runs);
+        state.records.drain(..gone as usize);
         state.numbers.retain(|_, number| *number > before);
         state.imports.retain(|_, number| *number > before);
         state.controls.retain(|number, _| *number > before);
+        state.files.retain(|number, _| *number > before);
+        state.records.shrink_to_fit();
+        state.numbers.shrink_to_fit();
     }
 
     /// Waits, but not beyond the end; false at the end.
@@ -327,28 +347,47 @@ impl State {
         self.before + self.records.len() as u64
     }
 
+    fn find(&self, id: Uuid) -> Option<Written> {
+        let number = *self.numbers.get(&id)?;
+        Some(Written { number, at: self.at(number)? })
+    }
+
     fn get(&self, number: u64) -> Option<&Noted> {
         self.records.get(number.checked_sub(self.before + 1)? as usize)
     }
 
-    fn find(&self, id: Uuid) -> Option<Written> {
-        let number = *self.numbers.get(&id)?;
-        Some(Written { number, at: self.get(number)?.at })
+    fn at(&self, number: u64) -> Option<Position> {
+        let Noted { offset, length, .. } = *self.get(number)?;
+        Some(Position { segment: self.run(number).segment, offset, length })
     }
 
-    fn numbered(&self) -> impl Iterator<Item = (u64, &Noted)> {
-        (self.before + 1..).zip(&self.records)
+    fn kind(&self, number: u64) -> Option<Kind> {
+        let contributor = self.get(number)?.contributor;
+        if self.controls.contains_key(&number) {
+            return Some(Kind::Control);
+        }
+        let import = self.files.get(&number).map(|file| Kind::Import { file: *file });
+        import.or(Some(Kind::Upload { contributor }))
+    }
+
+    fn kinds(&self) -> impl Iterator<Item = (u64, Kind)> {
+        (self.before + 1..).map_while(|number| Some((number, self.kind(number)?)))
+    }
+
+    /// The run of a record that was noted.
+    fn run(&self, number: u64) -> &Run {
+        &self.runs[self.runs.partition_point(|run| run.first <= number) - 1]
     }
 
     fn group(&self, after: u64, last: u64) -> Vec<Written> {
         let mut bytes = 0;
-        let from = after.saturating_sub(self.before) as usize;
-        let next = self.records.get(from..).unwrap_or_default().iter().zip(self.before + from as u64 + 1..);
-        let group = next.take_while(|(noted, number)| {
-            let fits = bytes < FOLD_BYTES && *number <= last;
-            bytes += u64::from(noted.at.length);
+        let numbers = after.max(self.before) + 1..=last;
+        let next = numbers.map_while(|number| Some(Written { number, at: self.at(number)? }));
+        let group = next.take_while(|written| {
+            let fits = bytes < FOLD_BYTES;
+            bytes += u64::from(written.at.length);
             fits
         });
-        group.take(FOLD_RECORDS).map(|(noted, number)| Written { number, at: noted.at }).collect()
+        group.take(FOLD_RECORDS).collect()
     }
 }

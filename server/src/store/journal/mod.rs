@@ -32,7 +32,7 @@ pub(super) struct Position {
     /// Number of the segment's first record.
     pub(super) segment: u64,
     /// Byte of the payload.
-    offset: u32,
+    pub(super) offset: u32,
     /// Bytes of the payload.
     pub(super) length: u32,
 }
