@@ -2,12 +2,18 @@
 
 use std::fs;
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use echofix_client::drivelog;
 use echofix_tests::command::echofix;
 use echofix_tests::service::Service;
+use echofix_tests::{binary, until_blocking};
 use serde_json::Value;
 use tempfile::TempDir;
+
+/// More than a service takes to start, or to end.
+const SOON: Duration = Duration::from_secs(30);
 
 /// A folder and the words of a path in it.
 struct Folder(TempDir);
@@ -172,4 +178,24 @@ fn arguments_that_cannot_be_read_are_told_with_what_is_expected() {
         assert_eq!((run.code, run.stdout.as_str()), (Some(2), ""), "{arguments:?}: {run:?}");
         assert!(run.stderr.contains(hint), "{arguments:?} does not say `{hint}`: {}", run.stderr);
     }
+}
+
+/// Catches a service that outlives the demo that started it, when the demo is killed.
+#[test]
+fn a_service_may_end_with_whoever_started_it() {
+    let folder = Folder::new();
+    let (data, addresses) = (folder.path("data"), folder.path("addresses.json"));
+    let mut service = Command::new(binary::echofix())
+        .args(["serve", "--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--data-dir", &data])
+        .args(["--addr-file", &addresses, "--end-with-stdin"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    until_blocking("the service listens", SOON, || fs::exists(&addresses).unwrap().then_some(()));
+    assert!(service.try_wait().unwrap().is_none());
+    drop(service.stdin.take());
+    let status = until_blocking("the service ends", SOON, || service.try_wait().unwrap());
+    assert!(status.success(), "{status}");
 }

@@ -44,7 +44,7 @@ enum Command {
     /// Watch a fleet build a radar map of a town, and other vehicles find themselves in it.
     Demo(commands::demo::Args),
     /// Run the service: gRPC for vehicles, HTTP for operators.
-    Serve(echofix_server::args::ServeArgs),
+    Serve(commands::serve::Args),
     /// Measure on this machine what a fix costs: the whole service, its steps, its engines.
     Bench(commands::bench::Args),
     /// Write the drive log of a simulated vehicle.

@@ -35,7 +35,9 @@ impl Service {
             .arg("--addr-file")
             .arg(&addresses)
             .args(settings.iter().flat_map(|setting| ["--set", setting]))
-            .stdin(Stdio::null())
+            // Held open by this process: should it be killed, the service ends, too.
+            .arg("--end-with-stdin")
+            .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(std::fs::File::create(folder.join("service.log"))?)
             .kill_on_drop(true)

@@ -4,19 +4,48 @@ use std::time::Duration;
 
 use echofix_server::args::ServeArgs;
 use echofix_server::{log, run as service};
+use tokio::sync::oneshot;
 
 /// Work that still holds a thread at the end gets this long.
 const LAST_WORK: Duration = Duration::from_secs(1);
+
+/// Arguments of `echofix serve`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: ServeArgs,
+    /// End when standard input does: with the process that started this one, however that ends.
+    #[arg(long, hide = true)]
+    end_with_stdin: bool,
+}
 
 /// Runs the subcommand until the process is told to end.
 ///
 /// # Errors
 /// When the configuration is wrong, a port is taken or the store does not open.
-pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let Args { service: args, end_with_stdin } = args;
     let config = args.config()?;
     log::init(&config.log)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let served = runtime.block_on(service::serve(config, args.addr_file.as_deref(), service::signalled()));
+    let ended = async {
+        tokio::select! {
+            () = service::signalled() => {}
+            () = stdin_closed(), if *end_with_stdin => {}
+        }
+    };
+    let served = runtime.block_on(service::serve(config, args.addr_file.as_deref(), ended));
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
+}
+
+/// Resolves when standard input ends.
+async fn stdin_closed() {
+    let (closed, told) = oneshot::channel();
+    // Not one of the runtime's threads: nothing wakes it before the process ends.
+    std::thread::spawn(move || {
+        let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+        closed.send(())
+    });
+    let _ = told.await;
 }
