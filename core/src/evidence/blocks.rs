@@ -161,7 +161,7 @@ mod tests {
     fn blocks_are_counted_row_by_row_from_the_south_west() {
         assert_eq!([view_block(0), view_block(15), view_block(16), view_block(16 * 512)], [0, 0, 1, 32]);
         assert_eq!(view_block(512 * 512 - 1), VIEW_BLOCKS - 1);
-        assert_eq!([support_block(7), support_block(8), support_block(8 * 512 + 9)], [0, 1, 65]);
+        assert_eq!([support_block(3), support_block(4), support_block(4 * 512 + 5)], [0, 1, 129]);
         assert_eq!(support_block(512 * 512 - 1), SUPPORT_BLOCKS - 1);
     }
 }

@@ -203,7 +203,7 @@ mod tests {
     #[test]
     fn tiles_of_the_first_format_are_refused_with_what_to_do() {
         let error = decode(b"EFT\x01....").unwrap_err();
-        assert_eq!(error, DecodeError::Version { found: 1, known: 2 });
+        assert_eq!(error, DecodeError::Version { found: 1, known: 3 });
     }
 
     #[test]

@@ -199,9 +199,9 @@ mod tests {
         let mut record = |day, contributor, cells: &[u32]| {
             ledger.record(Pass { day, contributor }, &share(cells.iter().copied()))
         };
-        let first = record(10, 1, &[0, 9]);
+        let first = record(10, 1, &[0, 5]);
         assert_eq!((new_cells(&first), first.supported), (vec![(true, true); 2], vec![0, 1]));
-        let again = record(11, 1, &[0, 1, 20]);
+        let again = record(11, 1, &[0, 1, 10]);
         assert_eq!(new_cells(&again), [(true, false), (true, true), (true, true)]);
         assert_eq!(again.supported, [2], "cell 1 shares a block with cell 0");
         let other = record(11, 2, &[0]);

@@ -30,14 +30,24 @@ impl Decay {
     }
 }
 
+/// Passes with a place in view, from which on a cell there must have been hit by two, and not by one where others hit
+/// something beside it: what stands has been hit again by then, and strangers' clutter lies beside everything.
+const WELL_SEEN: u16 = 6;
+/// See [`WELL_SEEN`].
+const TWO: u8 = 2;
+
 impl Tile {
-    /// Cells in support blocks that at least `min_contributors` distinct contributors have hit.
+    /// Cells that enough contributors vouch for: at least `min_contributors` distinct ones have hit something in
+    /// the same support block, and where many passes had it in view, two of them the cell itself.
     pub fn supported(&self, min_contributors: u8) -> impl Iterator<Item = &(u32, Cell)> {
-        self.cells.iter().filter(move |(index, _)| self.support[support_block(*index)] >= min_contributors)
+        let alone = min_contributors.min(TWO);
+        self.cells.iter().filter(move |(index, cell)| {
+            let own = cell.contributors >= alone || self.observed[view_block(*index)] < WELL_SEEN;
+            own && self.support[support_block(*index)] >= min_contributors
+        })
     }
 
-    /// The tile that is served: cells in support blocks that at least `min_contributors` distinct
-    /// contributors have hit, decayed to `today` (a UTC day counted from the Unix epoch; nothing decays
+    /// The tile that is served: cells that enough contributors vouch for, see [`Tile::supported`], decayed to `today` (a UTC day counted from the Unix epoch; nothing decays
     /// without it). What is known of blocks is kept only where there are such cells, so that nothing
     /// tells where fewer contributors went.
     #[must_use]
@@ -77,18 +87,29 @@ mod tests {
     }
 
     proptest! {
-        /// Fails when contributors are counted by cell, by pass or by upload.
+        /// Fails when contributors are counted by pass or by upload.
         #[test]
         fn cells_are_served_where_enough_contributors_were(uploads in uploads(), least in 1..5_u8) {
             let (tile, _) = folded(&uploads);
-            let mut contributors: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
+            let mut near: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
+            let mut own: BTreeMap<u32, BTreeSet<u64>> = BTreeMap::new();
+            let mut passes: BTreeMap<usize, BTreeSet<Pass>> = BTreeMap::new();
             for (pass, share) in &uploads {
                 for hit in &share.cells {
-                    contributors.entry(support_block(hit.index)).or_default().insert(pass.contributor);
+                    near.entry(support_block(hit.index)).or_default().insert(pass.contributor);
+                    own.entry(hit.index).or_default().insert(pass.contributor);
+                }
+                for block in share.observed.iter() {
+                    passes.entry(block).or_default().insert(*pass);
                 }
             }
+            let vouched = |index: u32| {
+                let well_seen = passes.get(&view_block(index)).is_some_and(|p| p.len() >= 6);
+                let alone = least > 1 && well_seen && own[&index].len() < 2;
+                !alone && near[&support_block(index)].len() >= usize::from(least)
+            };
             let served = tile.published(least, None, &Decay::default());
-            let expected = tile.cells().iter().filter(|(i, _)| contributors[&support_block(*i)].len() >= usize::from(least));
+            let expected = tile.cells().iter().filter(|(index, _)| vouched(*index));
             prop_assert!(served.cells().iter().eq(expected));
             let told = |block: usize| served.cells().iter().any(|(index, _)| support_block(*index) == block);
             prop_assert!((0..SUPPORT_BLOCKS).all(|block| told(block) || served.support()[block] == 0));

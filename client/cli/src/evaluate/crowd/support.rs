@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, HashMap};
 
 use echofix_core::agreement::PointIndex;
 use echofix_core::drive::Drive;
-use echofix_core::evidence::SUPPORT_BLOCK_CELLS;
 use echofix_core::geo::{CELL_M, CellIndex, Grid, TileId};
 use echofix_core::tile::Tile;
 use echofix_sim::City;
@@ -27,6 +26,8 @@ use crate::evaluate::record::Record;
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
 /// Contributors that must have told of a place.
 const LEAST: u32 = 3;
+/// Of them, those that must have hit a cell itself where that is asked for.
+const OWN: u32 = 2;
 /// Cells that one contributor makes up, tried in each town.
 const MADE_UP: usize = 4000;
 /// They lie in the lanes, not farther than this beside where somebody drove, metres.
@@ -41,16 +42,19 @@ enum Rule {
     Any,
     /// Three hit something in the same block of so many cells.
     Block(i64),
+    /// The same, and two of them the cell itself.
+    Own(i64),
     /// Three hit something in cells not farther off than this along each axis.
     Within(i64),
     /// The same, and not three, but so many in a hundred of those that drove there.
     Share(i64, u32),
 }
 
-const RULES: [Rule; 8] = [
+const RULES: [Rule; 9] = [
     Rule::Any,
     Rule::Block(8),
     Rule::Block(4),
+    Rule::Own(4),
     Rule::Within(2),
     Rule::Within(1),
     Rule::Share(2, 50),
@@ -63,10 +67,8 @@ impl Rule {
         let cm = |cells: i64| (100.0 * CELL_M) as i64 * cells;
         match self {
             Self::Any => "nothing".to_owned(),
-            Self::Block(side) if side == SUPPORT_BLOCK_CELLS as i64 => {
-                format!("three in the same block of {} cm (as it is)", cm(side))
-            }
             Self::Block(cells) => format!("three in the same block of {} cm", cm(cells)),
+            Self::Own(side) => format!("three in the same block of {} cm, two of them in the cell", cm(side)),
             Self::Within(cells) => format!("three in cells {} cm off or less", cm(cells)),
             Self::Share(cells, percent) => {
                 format!("{percent} % of all, at least three, in cells {} cm off or less", cm(cells))
@@ -87,7 +89,7 @@ impl Rule {
     fn around(self, CellIndex { x, y }: CellIndex) -> [i64; 4] {
         match self {
             Self::Any => [x, x, y, y],
-            Self::Block(side) => {
+            Self::Block(side) | Self::Own(side) => {
                 let low = |v: i64| v.div_euclid(side) * side;
                 [low(x), low(x) + side - 1, low(y), low(y) + side - 1]
             }
@@ -103,6 +105,12 @@ struct Hits(HashMap<(i64, i64), u32>);
 impl Hits {
     fn add(&mut self, at: CellIndex, who: u32) {
         *self.0.entry((at.x, at.y)).or_default() |= 1 << who;
+    }
+
+    /// Is a cell served, if so many more hit it?
+    fn serves(&self, rule: Rule, least: u32, at: CellIndex, more: u32) -> bool {
+        let own = || self.0.get(&(at.x, at.y)).map_or(0, |who| who.count_ones());
+        self.count(rule, at) + more >= least && (!matches!(rule, Rule::Own(_)) || own() + more >= OWN)
     }
 
     /// Contributors whose hits count for a cell.
@@ -153,7 +161,7 @@ impl Visit {
         let mut outcome = Outcome { made_up: [0, self.made_up.len()], ..Outcome::default() };
         let mut served = BTreeMap::new();
         for (id, tile) in tiles {
-            let is_served = |index: u32| least == 0 || hits.count(rule, id.cell(index)) >= least;
+            let is_served = |index: u32| least == 0 || hits.serves(rule, least, id.cell(index), 0);
             let kept: Vec<_> = tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
             outcome.served[0] += kept.len();
             outcome.served[1] += tile.len();
@@ -161,7 +169,7 @@ impl Visit {
         }
         // Who makes them up is one contributor more.
         let least = rule.least(contributors + 1);
-        outcome.made_up[0] = self.made_up.iter().filter(|at| hits.count(rule, **at) + 1 >= least).count();
+        outcome.made_up[0] = self.made_up.iter().filter(|at| hits.serves(rule, least, **at, 1)).count();
         let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Dropped };
         let served = RadarMap::of_tiles(key, self.city.site().zone(), served);
         outcome.fixes = fixes(&served, &self.drive, Name::Echofix, self.most)?;
@@ -244,7 +252,8 @@ A cell is served once three contributors hit something near it. How near? Wide r
 up where two honest ones saw clutter; narrow ones serve less of what stands. Contributors drive every street, each on a day of his own;
 made up are cells in the lanes, more than 50 cm from anything that stands in the town. Clutter adds up: a number of contributors protects
 less the more of them drive, and only a share of them would protect for good. A share is not what the service asks for: a new
-building would not be served before most of those who ever drove there had come again.
+building would not be served before most of those who ever drove there had come again. It asks for three in the same block of 40 cm
+and, where six passes had the place in view, for two of them in the cell itself: no cell is served there on the word of one.
 ";
 
 const COLUMNS: [&str; 8] = [
