@@ -1,43 +1,16 @@
 //! The alignment alone, by engine.
 
 use std::hint::black_box;
-use std::sync::Arc;
 
 use anyhow::ensure;
-use echofix_core::align::engine::{self, Bounded, Fast, Fft, Question, Reference};
-use echofix_core::align::verdict::Integrity;
+use echofix_core::align::engine::{self, Bounded, Fast, Fft, Reference};
 use echofix_core::align::view::MapView;
-use echofix_core::align::weights::TileWeights;
-use echofix_core::align::{Aligner, EngineKind, Lattice, Prior, Search, Task, thin};
-use echofix_core::batch::Batch;
-use echofix_core::window::Frame;
+use echofix_core::align::{Aligner, EngineKind, Task, thin};
 use serde::Serialize;
 
+use super::case::Case;
 use super::inside::timed;
 use crate::statistics::Percentiles;
-
-/// A batch and the map around its prior.
-pub(super) struct Case {
-    pub(super) frame: Frame,
-    pub(super) tiles: Vec<Arc<TileWeights>>,
-    pub(super) batch: Batch,
-    pub(super) prior: Prior,
-    pub(super) search: Search,
-    pub(super) integrity: Integrity,
-}
-
-impl Case {
-    /// The question of a batch in the case's place, perhaps not its own.
-    pub(super) fn question<'a>(
-        &'a self,
-        view: &'a MapView,
-        batch: &'a Batch,
-        thinned: &'a [[f32; 3]],
-    ) -> Question<'a> {
-        let Self { prior, search, .. } = self;
-        Question { view, batch, thinned, prior, search, lattice: Lattice::of(prior, search) }
-    }
-}
 
 /// What an engine takes.
 #[derive(Debug, Clone, Serialize)]

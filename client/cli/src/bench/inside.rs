@@ -19,7 +19,7 @@ use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy};
 use prost::Message;
 use serde::Serialize;
 
-use super::engines::Case;
+use super::case::Case;
 use super::town::Town;
 use crate::fixes::Recording;
 use crate::statistics::Percentiles;

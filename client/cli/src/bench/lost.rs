@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use super::engines::Case;
+use super::case::Case;
 use super::inside::{Scene, timed};
 use super::town::Town;
 use crate::statistics::Percentiles;

@@ -4,6 +4,7 @@
 //! - [`load`]: clients that ask over real sockets, one question after the other.
 //! - [`cold`]: a street that the service has not seen yet: windows made, memory taken.
 //! - [`inside`]: the same map and requests without sockets: where the time of one request goes.
+//! - [`case`]: a batch, the map around its prior, and how to search.
 //! - [`engines`]: the alignment alone, by engine.
 //! - [`sizes`]: the search by the size of window and batch.
 //! - [`lengths`]: one request by the length of its batch.
@@ -12,6 +13,7 @@
 //!
 //! The service is a process of its own: what it used is its own, and not the questioner's.
 
+mod case;
 mod cold;
 mod engines;
 mod inside;

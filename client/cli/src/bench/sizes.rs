@@ -16,7 +16,7 @@ use rand_distr::{Distribution, Normal};
 use serde::Serialize;
 
 use super::Plan;
-use super::engines::Case;
+use super::case::Case;
 use super::inside::{Scene, timed};
 
 /// Copies of a detection lie so far from it, one sigma along each axis, metres.
