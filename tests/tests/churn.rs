@@ -155,8 +155,8 @@ impl Sample {
 
 /// Live are the tiles as they are encoded and the contributions of the retention window, which are the journal.
 ///
-/// Catches: old values of the tile store that nobody removes (values in sled that are not cut, or its mode for throughput, in the long form),
-/// settled segments that stay, files that stay open.
+/// Catches: old values of the tile store that nobody removes (values in sled that are not cut, or its mode for
+/// throughput, in the long form), settled segments that stay, files that stay open.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
     let seed = town::seed();
