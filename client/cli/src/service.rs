@@ -10,6 +10,9 @@ use serde_json::Value;
 use crate::commands::status;
 use tokio::process::{Child, Command};
 
+/// The service drains its connections for some seconds before it ends.
+const ENDED_WITHIN: Duration = Duration::from_secs(30);
+
 /// The service as a process of its own.
 pub struct Service {
     process: Child,
@@ -81,7 +84,8 @@ impl Service {
         loop {
             let http = self.http.clone();
             let map = tokio::task::spawn_blocking(move || status::get(&http, "/api/v1/map")).await??;
-            if map["epoch"] == map["journaled"] {
+            // Without an epoch, the map is not being served at all yet.
+            if map["epoch"].is_u64() && map["epoch"] == map["journaled"] {
                 return Ok(map);
             }
             if Instant::now() > deadline {
@@ -91,11 +95,15 @@ impl Service {
         }
     }
 
-    /// Ends it at once.
+    /// Lets it finish what it has begun, so that the next one has nothing to fold again.
     ///
     /// # Errors
-    /// When it cannot be ended.
+    /// When it does not end; it is then killed.
     pub async fn stop(mut self) -> anyhow::Result<()> {
-        self.process.kill().await.context("stopping the service")
+        drop(self.process.stdin.take());
+        match tokio::time::timeout(ENDED_WITHIN, self.process.wait()).await {
+            Ok(ended) => ended.map(drop).context("stopping the service"),
+            Err(_) => bail!("the service did not end within {} s of being told", ENDED_WITHIN.as_secs()),
+        }
     }
 }

@@ -41,8 +41,6 @@ pub struct Cold {
 pub(super) async fn measure(town: &Town, folder: &Path) -> anyhow::Result<Cold> {
     let settings = ["locating.threads=1", ROOM, TRUSTING, UNCONFIRMED].map(str::to_owned);
     let service = Service::start(folder, &settings).await?;
-    // What the last service's end took back is folded again.
-    service.settled().await?;
     let used = || service.pid().and_then(used_by).map(|used| used.as_secs_f64() * 1e3);
     let held = || service.pid().and_then(held_by).map(|kibibytes| kibibytes as f64 * 1024e-6);
     let (used_0, held_0) = (used(), held());
