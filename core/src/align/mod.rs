@@ -26,6 +26,7 @@ pub mod localizability;
 mod raster;
 pub mod score;
 pub mod simd;
+mod smoothing;
 pub mod thin;
 pub mod verdict;
 pub mod view;

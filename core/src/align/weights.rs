@@ -6,30 +6,19 @@
 //! weighs more than what was there once. Bytes keep a tile in a quarter of a megabyte and sums exact, so
 //! that every engine finds the same maximum.
 
+use super::smoothing::{self, HALO, Placed};
 use crate::agreement::PointIndex;
 use crate::datum::Datum;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
 use crate::tile::Tile;
 
-/// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
-const SIGMA_M: f64 = 0.2;
-/// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the hill of
-/// the true pose then stands out from the others; for its summit the weights are squared (see
-/// [`super::score::Field::sharpened`]).
-const KNEE: f32 = 0.01;
-/// The kernel ends here, in sigmas.
-const REACH_SIGMAS: f64 = 3.0;
-/// Steps of a cell to which a kernel's centre is rounded.
-const PHASES: usize = 8;
-/// Bytes for a unit of the natural logarithm.
-pub const STEPS: f32 = 28.0;
+pub use super::smoothing::STEPS;
+
 /// Cells along the side of a coarse cell.
 pub const COARSE: usize = 4;
 
 const SIDE: usize = CELLS_PER_TILE;
-/// Cells beyond a tile's border whose hits still count within it.
-const HALO: i64 = (REACH_SIGMAS * SIGMA_M / CELL_M) as i64 + 1;
 
 /// A block of [`COARSE`] x [`COARSE`] cells that holds any hits: what one vote of a batch may come from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,9 +58,11 @@ impl TileWeights {
         let empty = Tile::default();
         let own = tile_at(id).unwrap_or(&empty);
         let placed = around(id, &tile_at);
-        let fine = smoothed(&placed);
+        let fine = smoothing::weights(&placed);
         let [x0, y0] = id.origin();
-        let points = PointIndex::new(placed.iter().map(|([x, y], _)| [x0 + x * CELL_M, y0 + y * CELL_M]));
+        let points = PointIndex::new(
+            placed.iter().map(|Placed { at: [x, y], .. }| [x0 + x * CELL_M, y0 + y * CELL_M]),
+        );
         Self {
             id,
             coarse: pooled(&fine),
@@ -108,9 +99,8 @@ impl TileWeights {
     }
 }
 
-/// Cells of a tile and of its neighbours' borders: mean place of the hits, in cells from the
-/// tile's south-west corner.
-fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<([f64; 2], &'a Cell)> {
+/// Cells of a tile and of its neighbours' borders: mean place of the hits, and their mass.
+fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<Placed> {
     let side = SIDE as i64;
     let inside = -HALO..side + HALO;
     let mut placed = Vec::new();
@@ -126,7 +116,7 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
             let (x, y) = (first[0] + i64::from(*index) % side, first[1] + i64::from(*index) / side);
             inside.contains(&x).then(|| {
                 let [fx, fy] = cell.centroid();
-                ([x as f64 + fx, y as f64 + fy], cell)
+                Placed { at: [x as f64 + fx, y as f64 + fy], mass: cell.mass() as f32 }
             })
         }));
     }
@@ -170,68 +160,20 @@ pub fn mean([weighted, hits]: [f64; 2]) -> f64 {
     if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 
-fn smoothed(placed: &[([f64; 2], &Cell)]) -> Box<[u8]> {
-    let side = SIDE as i64;
-    let mut sums = vec![0.0_f32; SIDE * SIDE];
-    let kernels = Kernels::new();
-    let reach = kernels.reach as i64;
-    for ([x, y], cell) in placed {
-        let (left, south) = (x.floor(), y.floor());
-        let (kx, ky) = (kernels.at(x - left), kernels.at(y - south));
-        let (x0, y0) = (left as i64 - reach, south as i64 - reach);
-        let columns = (-x0).max(0)..(side - x0).min(2 * reach + 1);
-        let rows = (-y0).max(0)..(side - y0).min(2 * reach + 1);
-        if columns.is_empty() {
-            continue;
-        }
-        let mass = cell.mass() as f32;
-        let kx = &kx[columns.start as usize..columns.end as usize];
-        for row in rows {
-            let weight = mass * ky[row as usize];
-            let from = ((y0 + row) * side + x0 + columns.start) as usize;
-            for (sum, tap) in sums[from..from + kx.len()].iter_mut().zip(kx) {
-                *sum += weight * tap;
-            }
-        }
-    }
-    let weight = |sum: f32| if sum > 0.0 { ((1.0 + sum / KNEE).ln() * STEPS).round() as u8 } else { 0 };
-    sums.into_iter().map(weight).collect()
-}
-
 /// Means of [`COARSE`] x [`COARSE`] cells, rounded up so that a trace of structure is not lost.
 fn pooled(fine: &[u8]) -> Box<[u8]> {
-    let side = SIDE / COARSE;
-    let mut sums = vec![0_u16; side * side];
-    for (index, value) in fine.iter().enumerate() {
-        sums[index / SIDE / COARSE * side + index % SIDE / COARSE] += u16::from(*value);
+    let mut pooled = Vec::with_capacity(fine.len() / (COARSE * COARSE));
+    let mut sums = [0_u16; SIDE / COARSE];
+    for rows in fine.chunks_exact(SIDE * COARSE) {
+        sums.fill(0);
+        for row in rows.chunks_exact(SIDE) {
+            for (sum, cells) in sums.iter_mut().zip(row.chunks_exact(COARSE)) {
+                *sum += cells.iter().copied().map(u16::from).sum::<u16>();
+            }
+        }
+        pooled.extend(sums.iter().map(|sum| sum.div_ceil((COARSE * COARSE) as u16) as u8));
     }
-    sums.into_iter().map(|sum| sum.div_ceil((COARSE * COARSE) as u16) as u8).collect()
-}
-
-/// Gaussian kernels along one axis, one for each phase of the centre within its cell.
-struct Kernels {
-    reach: usize,
-    taps: Vec<Vec<f32>>,
-}
-
-impl Kernels {
-    fn new() -> Self {
-        let sigma = SIGMA_M / CELL_M;
-        let reach = (REACH_SIGMAS * sigma).ceil() as usize;
-        let taps = (0..PHASES).map(|phase| {
-            let centre = reach as f64 + (phase as f64 + 0.5) / PHASES as f64 - 0.5;
-            let taps = (0..=2 * reach).map(|i| (-0.5 * ((i as f64 - centre) / sigma).powi(2)).exp());
-            let taps: Vec<f64> = taps.collect();
-            let sum: f64 = taps.iter().sum();
-            taps.into_iter().map(|t| (t / sum) as f32).collect()
-        });
-        Self { reach, taps: taps.collect() }
-    }
-
-    /// Taps for a centre at `fraction` of its cell.
-    fn at(&self, fraction: f64) -> &[f32] {
-        &self.taps[((fraction * PHASES as f64) as usize).min(PHASES - 1)]
-    }
+    pooled.into_boxed_slice()
 }
 
 #[cfg(test)]

@@ -1,0 +1,175 @@
+//! Hits smoothed to the sensor's noise, and the bytes that their masses are worth.
+
+use std::f32::consts::{FRAC_1_SQRT_2, LN_2};
+use std::sync::LazyLock;
+
+use super::simd::{Isa, Kernel};
+use crate::geo::{CELL_M, CELLS_PER_TILE};
+
+/// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
+const SIGMA_M: f64 = 0.2;
+/// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the hill of
+/// the true pose then stands out from the others; for its summit the weights are squared (see
+/// [`super::score::Field::sharpened`]).
+const KNEE: f32 = 0.01;
+/// Bytes for a unit of the natural logarithm.
+pub const STEPS: f32 = 28.0;
+
+/// The kernel ends this many cells from its centre: at three sigmas.
+const REACH: usize = (3.0 * SIGMA_M / CELL_M) as usize;
+/// Cells beyond a tile's border whose hits still count within it.
+pub(super) const HALO: i64 = REACH as i64 + 1;
+/// Steps of a cell to which a kernel's centre is rounded.
+const PHASES: usize = 8;
+/// Taps of a kernel, those beyond its end being 0: what registers hold without a rest.
+const TAPS: usize = 16;
+const _: () = assert!(2 * REACH < TAPS);
+
+const SIDE: usize = CELLS_PER_TILE;
+/// Cells around the tile that kernels may write to, so that none must be clipped.
+const MARGIN: usize = 16;
+const _: () = assert!(HALO as usize + REACH <= MARGIN && HALO as usize + TAPS - REACH <= MARGIN + 1);
+const STRIDE: usize = SIDE + 2 * MARGIN;
+
+/// A mass and where it lies, in cells from the tile's south-west corner: in the tile, or less than [`HALO`] cells
+/// from it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placed {
+    pub(super) at: [f64; 2],
+    pub(super) mass: f32,
+}
+
+/// A tile's weights, row-major: [`STEPS`] times `ln(1 + smoothed mass / KNEE)`, rounded.
+pub(super) fn weights(placed: &[Placed]) -> Box<[u8]> {
+    Isa::best().run(Weighing { placed })
+}
+
+struct Weighing<'a> {
+    placed: &'a [Placed],
+}
+
+impl Kernel for Weighing<'_> {
+    type Out = Box<[u8]>;
+
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+    #[inline(always)]
+    fn run(self) -> Box<[u8]> {
+        let mut sums = vec![0.0; STRIDE * STRIDE];
+        let kernels = &*KERNELS;
+        for placed in self.placed {
+            add(&mut sums, kernels, placed);
+        }
+        let mut weights = vec![0; SIDE * SIDE];
+        let inside = sums.chunks_exact(STRIDE).skip(MARGIN).map(|row| &row[MARGIN..MARGIN + SIDE]);
+        for (weights, sums) in weights.chunks_exact_mut(SIDE).zip(inside) {
+            weights.iter_mut().zip(sums).for_each(|(weight, sum)| *weight = byte(*sum));
+        }
+        weights.into_boxed_slice()
+    }
+}
+
+/// Compiled for an instruction set with what calls it.
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+#[inline(always)]
+fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], placed: &Placed) {
+    let [x, y] = placed.at.map(|along| along + (MARGIN - REACH) as f64);
+    let (column, row) = (x as i32, y as i32);
+    let kernel = |along: f64, cell: i32| {
+        // Masked, not clamped: in the cell there are no others.
+        &kernels[((along - f64::from(cell)) * PHASES as f64) as i32 as usize % PHASES]
+    };
+    let (kernel_x, kernel_y) = (kernel(x, column), kernel(y, row));
+    let mass = placed.mass / KNEE;
+    let mut from = row as usize * STRIDE + column as usize;
+    for tap_y in &kernel_y[..=2 * REACH] {
+        let weight = mass * tap_y;
+        if let Some(sums) = sums.get_mut(from..).and_then(|sums| sums.first_chunk_mut::<TAPS>()) {
+            sums.iter_mut().zip(kernel_x).for_each(|(sum, tap_x)| *sum += weight * tap_x);
+        }
+        from += STRIDE;
+    }
+}
+
+/// What a mass in knees is worth. Compiled for an instruction set with what calls it, as is the next one.
+#[inline(always)]
+fn byte(mass: f32) -> u8 {
+    /// Beyond it floats are whole numbers, so that a sum with it is rounded to one, in its last bits.
+    const WHOLE: f32 = (1 << (f32::MANTISSA_DIGITS - 1)) as f32;
+    ((STEPS * logarithm(1.0 + mass)).min(255.0) + WHOLE).to_bits() as u8
+}
+
+/// The natural logarithm to 2e-6, of what is 1 or more: the same bits on every machine, and many at a time.
+#[inline(always)]
+fn logarithm(value: f32) -> f32 {
+    const EXPONENT: u32 = f32::MANTISSA_DIGITS - 1;
+    let bits = value.to_bits() as i32;
+    let halvings = (bits - FRAC_1_SQRT_2.to_bits() as i32) >> EXPONENT;
+    // Between the square roots of 1/2 and of 2.
+    let left = f32::from_bits((bits - (halvings << EXPONENT)) as u32);
+    // ln x = 2 artanh((x - 1) / (x + 1)), as a series.
+    let s = (left - 1.0) / (left + 1.0);
+    let square = s * s;
+    halvings as f32 * LN_2 + 2.0 * s * (1.0 + square * (1.0 / 3.0 + square * (1.0 / 5.0)))
+}
+
+/// Taps of a Gaussian along one axis, its centre in the cell [`REACH`], by phase.
+static KERNELS: LazyLock<[[f32; TAPS]; PHASES]> = LazyLock::new(|| {
+    std::array::from_fn(|phase| {
+        let centre = REACH as f64 + (phase as f64 + 0.5) / PHASES as f64 - 0.5;
+        let tap = |i: usize| (-0.5 * ((i as f64 - centre) * CELL_M / SIGMA_M).powi(2)).exp();
+        let sum: f64 = (0..=2 * REACH).map(tap).sum();
+        std::array::from_fn(|i| if i <= 2 * REACH { (tap(i) / sum) as f32 } else { 0.0 })
+    })
+});
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_byte_is_the_logarithm_rounded(mass in 0.0_f32..1000.0, scale in -6..5_i32) {
+            let mass = mass * 10_f32.powi(scale);
+            let exact = f64::from(STEPS) * f64::from(mass).ln_1p();
+            let byte = f64::from(byte(mass));
+            prop_assert!((byte - exact.min(255.0)).abs() <= 0.5 + 1e-4, "{mass}: {byte} for {exact}");
+        }
+
+        /// Fails when a sum's order depends on how many floats are added at once.
+        #[test]
+        fn every_instruction_set_weighs_alike(placed in masses()) {
+            let plain = Isa::PLAIN.run(Weighing { placed: &placed });
+            for isa in Isa::available() {
+                prop_assert!(plain == isa.run(Weighing { placed: &placed }), "{isa:?}");
+            }
+        }
+    }
+
+    /// Masses on and off a tile.
+    fn masses() -> impl Strategy<Value = Vec<Placed>> {
+        let (least, end) = (-HALO as f64, (SIDE as i64 + HALO) as f64);
+        let placed =
+            (least..end, least..end, 0.01_f32..20.0).prop_map(|(x, y, mass)| Placed { at: [x, y], mass });
+        prop::collection::vec(placed, 0..300)
+    }
+
+    #[test]
+    fn a_mass_is_kept_wherever_it_lies() {
+        let (low, high) = (-HALO as f64, (SIDE as i64 + HALO) as f64 - 1e-9);
+        for [x, y] in [[low, low], [low, high], [high, low], [high, high], [0.0, 0.0], [300.3, 17.9]] {
+            let mut sums = vec![0.0; STRIDE * STRIDE];
+            add(&mut sums, &KERNELS, &Placed { at: [x, y], mass: 3.0 });
+            let sum: f32 = sums.iter().sum();
+            assert!((sum * KNEE - 3.0).abs() < 1e-4, "{x} {y}: {sum}");
+        }
+    }
+
+    #[test]
+    fn what_lies_a_halo_away_does_not_count() {
+        let beyond = Placed { at: [-HALO as f64, 100.0], mass: 1e3 };
+        assert!(weights(&[beyond]).iter().all(|weight| *weight == 0));
+        let within = Placed { at: [1.0 - HALO as f64, 100.0], mass: 1e3 };
+        assert!(weights(&[within]).iter().any(|weight| *weight > 0));
+    }
+}
