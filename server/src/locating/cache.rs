@@ -1,9 +1,12 @@
 //! Tiles as weights, kept while memory lasts.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::geo::TileId;
+use echofix_core::tile::Tile;
 use echofix_core::window::Frame;
 use moka::sync::Cache;
 
@@ -51,11 +54,12 @@ impl TileCache {
         }
         let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
         let mut found = Found { tiles: Vec::new(), epoch, cached: true };
+        let mut reading = Reading { store, known: HashMap::new() };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
             let key = Key { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
             let tile = self.tiles.try_get_with_by_ref(&key, || {
                 found.cached = false;
-                prepare(store, &key)
+                reading.prepare(&key)
             })?;
             found.tiles.push(tile);
         }
@@ -67,12 +71,20 @@ fn version(catalog: &[TileInfo], id: TileId) -> u64 {
     catalog.iter().find(|info| info.id == id).map_or(0, |info| info.version)
 }
 
-fn prepare(store: &dyn MapStore, key: &Key) -> Result<Arc<TileWeights>, Error> {
-    let mut near = Vec::with_capacity(key.versions.len());
-    for (id, _) in key.id.with_neighbours().into_iter().zip(key.versions).filter(|(_, version)| *version != 0)
-    {
-        near.extend(store.tile(id)?.map(|stored| (id, stored.tile)));
+/// Tiles that are read for one square: those side by side have neighbours in common, and each is read once.
+struct Reading<'a> {
+    store: &'a dyn MapStore,
+    known: HashMap<TileId, Option<Arc<Tile>>>,
+}
+
+impl Reading<'_> {
+    fn prepare(&mut self, key: &Key) -> Result<Arc<TileWeights>, Error> {
+        let near = key.id.with_neighbours().into_iter().zip(key.versions);
+        for (id, _) in near.filter(|(_, version)| *version != 0) {
+            if let Entry::Vacant(unknown) = self.known.entry(id) {
+                unknown.insert(self.store.tile(id)?.map(|stored| stored.tile));
+            }
+        }
+        Ok(Arc::new(TileWeights::new(key.id, |id| self.known.get(&id)?.as_deref())))
     }
-    let find = |id| near.iter().find(|(at, _)| *at == id).map(|(_, tile)| &**tile);
-    Ok(Arc::new(TileWeights::new(key.id, find)))
 }
