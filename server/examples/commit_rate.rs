@@ -1,6 +1,7 @@
 //! How many uploads a second does the store take, each on disk before it is answered, and how fast
 //! does it fold? The same bytes are also written to a plain file, synced one by one, and to plain sled,
-//! flushed one by one: what the disk itself allows, and what a key-value store makes of it. `cargo run --release -p echofix-server --example commit_rate -- <directory>`
+//! flushed one by one: what the disk itself allows, and what a key-value store makes of it.
+//! `cargo run --release -p echofix-server --example commit_rate -- <directory>`
 #![expect(clippy::print_stdout, reason = "it prints what it measures")]
 
 use std::error::Error;
@@ -18,6 +19,8 @@ use uuid::Uuid;
 const TILES: i32 = 12;
 const CELLS: u32 = 400;
 const TIME: Duration = Duration::from_secs(5);
+/// Uploads that are folded, to see how fast that is.
+const FOLDED: u32 = 1000;
 
 fn upload(zone: Zone, number: u32) -> Upload {
     let hits = |i: u32| CellHits { index: i * 600 + number % 600, hits: 2, offset_sum: [100 + i % 99, 300] };
@@ -70,18 +73,38 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [file, flushed] = plain(&beside, zone)?;
     std::fs::remove_dir_all(&beside)?;
     println!("one at a time: a plain file with fdatasync {file:.0}/s, plain sled with flush {flushed:.0}/s");
-    let store = EmbeddedStore::open(&Options {
-        data_dir,
+    for threads in [1, 4, 16, 64] {
+        let per_s = committed(&data_dir, zone, threads)?;
+        println!(
+            "{threads} at once: {per_s:.0} uploads/s on disk, {:.2} times the file's, {:.2} times sled's",
+            per_s / file,
+            per_s / flushed
+        );
+    }
+    println!("folded: {:.0} uploads/s", folded(&data_dir, zone)?);
+    Ok(())
+}
+
+/// A store of its own, removed with what it holds afterwards. It takes what it is told without vetting it.
+fn with_store<T>(data_dir: &Path, work: impl FnOnce(&EmbeddedStore) -> T) -> Result<T, Box<dyn Error>> {
+    let data_dir = data_dir.join("store");
+    let options = Options {
+        data_dir: data_dir.clone(),
         cache_bytes: 256 << 20,
         segment_bytes: 64 << 20,
         policy: Policy::trusting(),
-    })?;
-    for threads in [1, 4, 16, 64] {
-        let before = *store.progress().borrow();
+    };
+    let done = work(&EmbeddedStore::open(&options)?);
+    std::fs::remove_dir_all(data_dir)?;
+    Ok(done)
+}
+
+/// Uploads a second that so many threads bring onto the disk, folding going on meanwhile.
+fn committed(data_dir: &Path, zone: Zone, threads: u32) -> Result<f64, Box<dyn Error>> {
+    with_store(data_dir, |store| {
         let began = Instant::now();
         std::thread::scope(|scope| {
             let commit = |thread: u32| {
-                let store = &store;
                 let mut number = thread * 100_000;
                 while began.elapsed() < TIME {
                     store.commit(upload(zone, number)).expect("the disk takes it");
@@ -90,20 +113,19 @@ fn main() -> Result<(), Box<dyn Error>> {
             };
             (0..threads).for_each(|thread| drop(scope.spawn(move || commit(thread))));
         });
-        let committed = store.progress().borrow().journaled - before.journaled;
-        let per_s = committed as f64 / began.elapsed().as_secs_f64();
-        println!(
-            "{threads} at once: {per_s:.0} uploads/s on disk, {:.2} times the file's, {:.2} times sled's",
-            per_s / file,
-            per_s / flushed
-        );
-        let mut progress = store.progress();
-        let done = |p: echofix_server::store::Progress| p.epoch == p.journaled;
-        while !done(*progress.borrow_and_update()) {
+        store.progress().borrow().journaled as f64 / began.elapsed().as_secs_f64()
+    })
+}
+
+/// Uploads a second that one thread folds into tiles.
+fn folded(data_dir: &Path, zone: Zone) -> Result<f64, Box<dyn Error>> {
+    with_store(data_dir, |store| {
+        let began = Instant::now();
+        (0..FOLDED).for_each(|number| drop(store.commit(upload(zone, number)).expect("the disk takes it")));
+        let progress = store.progress();
+        while progress.borrow().epoch < u64::from(FOLDED) {
             std::thread::sleep(Duration::from_millis(5));
         }
-        println!("  folded at {:.0} uploads/s", committed as f64 / began.elapsed().as_secs_f64());
-    }
-    println!("{:?}", store.totals());
-    Ok(())
+        f64::from(FOLDED) / began.elapsed().as_secs_f64()
+    })
 }

@@ -28,6 +28,12 @@ pub struct ServeArgs {
     /// Write the addresses in use to this file, as JSON
     #[arg(long, value_name = "PATH")]
     pub addr_file: Option<PathBuf>,
+    /// Check the configuration and end
+    #[arg(long)]
+    pub check_config: bool,
+    /// Print the configuration in force and end
+    #[arg(long, conflicts_with = "check_config")]
+    pub print_config: bool,
 }
 
 impl ServeArgs {
@@ -47,6 +53,16 @@ impl ServeArgs {
         };
         let environment = std::env::vars_os().filter_map(text).collect();
         Config::load(&Sources { file: self.config.clone(), environment, settings })
+    }
+
+    /// What to print instead of serving, where only the configuration is asked for.
+    #[must_use]
+    pub fn instead_of_serving(&self, config: &Config) -> Option<String> {
+        match self {
+            Self { print_config: true, .. } => Some(config.to_toml()),
+            Self { check_config: true, .. } => Some(String::new()),
+            _ => None,
+        }
     }
 }
 

@@ -18,12 +18,6 @@ const LAST_WORK: Duration = Duration::from_secs(1);
 struct Args {
     #[command(flatten)]
     serve: ServeArgs,
-    /// Check the configuration and end
-    #[arg(long)]
-    check_config: bool,
-    /// Print the configuration in force and end
-    #[arg(long, conflicts_with = "check_config")]
-    print_config: bool,
 }
 
 fn main() -> ExitCode {
@@ -39,11 +33,8 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let config = args.serve.config()?;
-    if args.check_config {
-        return Ok(());
-    }
-    if args.print_config {
-        return Ok(std::io::stdout().write_all(config.to_toml().as_bytes())?);
+    if let Some(text) = args.serve.instead_of_serving(&config) {
+        return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;

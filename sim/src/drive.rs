@@ -45,7 +45,7 @@ impl Default for DriveParams {
         Self {
             vehicle: "sim-1".to_owned(),
             seed: 1,
-            // Thursday 9 May 2019, 15:00 UTC: the paper's mapping session.
+            // Thursday 9 May 2019, 15:00 UTC: the paper's mapping drive.
             start_time_us: 1_557_414_000_000_000,
             max_duration_s: f64::INFINITY,
             radars: RadarSpec::paper_set(),

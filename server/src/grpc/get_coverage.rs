@@ -50,8 +50,9 @@ fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, Violation> {
     require(rows <= MAX_POINTS, "latitude_deg", &format!("has more than {MAX_POINTS} values"))?;
     let described = format!("has {} values but `latitude_deg` has {rows}", longitude_deg.len());
     require(longitude_deg.len() == rows, "longitude_deg", &described)?;
-    let point =
-        |(row, (lat, lon)): (usize, (&f64, &f64))| decode::lat_lon(*lat, *lon, &format!("points[{row}]"));
+    let point = |(row, (lat, lon)): (usize, (&f64, &f64))| {
+        decode::lat_lon(*lat, *lon, &format!("latitude_deg[{row}], longitude_deg[{row}]"))
+    };
     latitude_deg.iter().zip(longitude_deg).enumerate().map(point).collect()
 }
 

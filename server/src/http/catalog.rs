@@ -97,7 +97,7 @@ async fn described(app: &App, id: TileId) -> Result<Response, Error> {
 }
 
 fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
-    let nothing = || Error::NotFound(format!("nothing was ever seen in tile {id}"));
+    let nothing = || Error::NotFound(format!("nothing is served in tile {id}"));
     let stored = store.tile(id)?.ok_or_else(nothing)?;
     let StoredTile { version, tile } = &stored;
     let corners = corners(&Grid::new(id.zone)?, [id.x, id.y], [id.x, id.y])?;

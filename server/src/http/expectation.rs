@@ -27,7 +27,7 @@ pub async fn tile(
 }
 
 fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
-    let nothing = || Error::NotFound(format!("nothing was ever seen in tile {id} and around it"));
+    let nothing = || Error::NotFound(format!("nothing is served in tile {id} and around it"));
     let tile = expectations.tile(id)?.ok_or_else(nothing)?;
     let grid = Grid::new(id.zone)?;
     let places = tile.places().map(|(column, row, expected)| {

@@ -44,7 +44,7 @@ impl TileCache {
         Self { tiles }
     }
 
-    /// The tiles of a square; none where nothing was ever seen. Blocks.
+    /// The tiles of a square; none where nothing is served. Blocks.
     pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<Found, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));

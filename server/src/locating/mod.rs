@@ -103,7 +103,7 @@ pub struct Timing {
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
-    /// Nothing was ever seen around the prior.
+    /// Nothing is served around the prior.
     #[error(
         "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first"
     )]

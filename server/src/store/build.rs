@@ -60,8 +60,8 @@ pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
         fresh.retire();
         return Ok(None);
     };
-    let (journal, lineage) = (shared.journal_id, shared.lineage);
-    Manifest { journal, generation: number, applied, lineage }.write(shared.dir.root())?;
+    let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.policy.digest());
+    Manifest { journal, generation: number, applied, lineage, policy }.write(shared.dir.root())?;
     reached(shared, Step::Published)?;
     let generation = Arc::new(fresh);
     let before = shared.serve(Some(generation.clone()));

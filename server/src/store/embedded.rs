@@ -50,9 +50,10 @@ impl EmbeddedStore {
             return Err(build::uncovered(index.before(), base.last));
         }
         let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
+        let policy = options.policy.digest();
         let lineage = match &manifest {
-            Some(manifest) => manifest.lineage,
-            None => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
+            Some(manifest) if manifest.policy == policy => manifest.lineage,
+            _ => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
         };
         let mut folder = resume(&dir, options, manifest, &index)?;
         if folder.on.is_none() && index.newest() == 0 {
@@ -121,10 +122,16 @@ fn resume(
     index: &Index,
 ) -> Result<Folder, Error> {
     let nothing = Folder { on: None, applied: 0, folded: index.before() };
-    let Some(Manifest { generation: number, applied, journal, .. }) = manifest else { return Ok(nothing) };
+    let Some(Manifest { generation: number, applied, journal, policy, .. }) = manifest else {
+        return Ok(nothing);
+    };
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
     match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
+        Ok(_) if policy != options.policy.digest() => {
+            tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
+            Ok(nothing)
+        }
         Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
             tracing::warn!(reason, "the tiles cannot be used; folding them anew");
@@ -139,7 +146,8 @@ fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Resul
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
     let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
     generation.load(&Base::default())?;
-    Manifest { journal, generation: number, applied: 0, lineage }.write(dir.root())?;
+    let policy = options.policy.digest();
+    Manifest { journal, generation: number, applied: 0, lineage, policy }.write(dir.root())?;
     Ok(Arc::new(generation))
 }
 

@@ -1,7 +1,8 @@
-//! Which generation of tiles is served, under which controls it was made, and of which lineage it is.
+//! Which generation of tiles is served, under which controls and which policy it was made, and of which lineage
+//! it is.
 //!
 //! ```text
-//! magic "EFM" 2 (4) | CRC-32C of the rest (4) | journal id (16) | generation (8) | control (8) | lineage (8)
+//! magic "EFM" 3 (4) | CRC-32C of the rest (4) | journal id (16) | generation (8) | control (8) | lineage (8) | policy (8)
 //! ```
 //!
 //! The numbers are little-endian.
@@ -14,8 +15,8 @@ use uuid::Uuid;
 use super::data_dir::put_file;
 use super::{Error, io_error};
 
-const MAGIC: [u8; 4] = *b"EFM\x02";
-const LENGTH: usize = 48;
+const MAGIC: [u8; 4] = *b"EFM\x03";
+const LENGTH: usize = 56;
 const NAME: &str = "manifest";
 
 /// The manifest.
@@ -28,6 +29,8 @@ pub(super) struct Manifest {
     pub(super) applied: u64,
     /// See [`super::MapStore::lineage`].
     pub(super) lineage: u64,
+    /// See [`super::Policy::digest`].
+    pub(super) policy: u64,
 }
 
 impl Manifest {
@@ -52,7 +55,8 @@ impl Manifest {
         bytes[8..24].copy_from_slice(self.journal.as_bytes());
         bytes[24..32].copy_from_slice(&self.generation.to_le_bytes());
         bytes[32..40].copy_from_slice(&self.applied.to_le_bytes());
-        bytes[40..].copy_from_slice(&self.lineage.to_le_bytes());
+        bytes[40..48].copy_from_slice(&self.lineage.to_le_bytes());
+        bytes[48..].copy_from_slice(&self.policy.to_le_bytes());
         let checksum = crc32c::crc32c(&bytes[8..]);
         bytes[4..8].copy_from_slice(&checksum.to_le_bytes());
         bytes
@@ -62,7 +66,8 @@ impl Manifest {
         let bytes: &[u8; LENGTH] = bytes.try_into().ok()?;
         let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let journal = Uuid::from_slice(&bytes[8..24]).ok()?;
-        let manifest = Self { journal, generation: word(24), applied: word(32), lineage: word(40) };
+        let (generation, applied, lineage, policy) = (word(24), word(32), word(40), word(48));
+        let manifest = Self { journal, generation, applied, lineage, policy };
         (manifest.bytes() == *bytes).then_some(manifest)
     }
 }
@@ -75,7 +80,8 @@ mod tests {
     fn a_manifest_is_read_whole_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         assert_eq!(Manifest::read(dir.path()), None);
-        let manifest = Manifest { journal: Uuid::from_u128(3), generation: 4, applied: 9, lineage: 11 };
+        let journal = Uuid::from_u128(3);
+        let manifest = Manifest { journal, generation: 4, applied: 9, lineage: 11, policy: 12 };
         manifest.write(dir.path()).unwrap();
         assert_eq!(Manifest::read(dir.path()), Some(manifest));
         let good = std::fs::read(dir.path().join(NAME)).unwrap();

@@ -266,7 +266,7 @@ pub trait MapStore: Send + Sync {
     /// When the disk refuses or the record is damaged.
     fn counted(&self, id: Uuid) -> Result<Option<Receipt>, Error>;
 
-    /// One tile, in its newest version; `None` where nothing was ever seen.
+    /// One tile, in its newest version; `None` where nothing is served.
     ///
     /// # Errors
     /// When the disk refuses, the tile is damaged, or the map is being rebuilt.

@@ -13,6 +13,7 @@ pub struct Options {
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
-    /// What counts and what is served. Another policy than before needs a rebuild: delete the manifest.
+    /// What counts and what is served. Under another policy than before the map is folded
+    /// anew, and of a new lineage.
     pub policy: Policy,
 }

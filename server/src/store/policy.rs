@@ -1,7 +1,10 @@
 //! What of the crowd's evidence counts, and what is served.
 
+use std::hash::Hasher;
+
 use echofix_core::tile::{Decay, Tile};
 use echofix_core::vetting::Limits;
+use siphasher::sip::SipHasher24;
 
 /// What of the crowd's evidence counts, and what is served.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,6 +23,13 @@ impl Policy {
     #[must_use]
     pub fn trusting() -> Self {
         Self { publish_contributors: 1, decay: None, vetting: None }
+    }
+
+    /// Tells policies apart, and what the code's own constants in them were: tiles of another one are not the same.
+    pub(super) fn digest(&self) -> u64 {
+        let mut hasher = SipHasher24::new();
+        hasher.write(format!("{self:?}").as_bytes());
+        hasher.finish()
     }
 
     /// The tile as it is served on a map whose newest day is `today`.

@@ -176,6 +176,6 @@ fn street(cold: &Cold) -> String {
     row("ms for the window of a question, 50 / 99 %", both(cold.window_ms));
     row("... asked again, from the cache", both(cold.cached_ms));
     row("CPU ms a street km, beyond the same questions again", or_unknown(cold.cpu_ms_per_km, 0));
-    row("memory a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
+    row("memory of the process a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
     table
 }

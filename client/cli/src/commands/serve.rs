@@ -1,5 +1,6 @@
 //! `echofix serve`: the service in this process, as `echofix-server` runs it.
 
+use std::io::Write;
 use std::time::Duration;
 
 use echofix_server::args::ServeArgs;
@@ -26,6 +27,9 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let Args { service: args, end_with_stdin } = args;
     let config = args.config()?;
+    if let Some(text) = args.instead_of_serving(&config) {
+        return Ok(std::io::stdout().write_all(text.as_bytes())?);
+    }
     log::init(&config.log)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let ended = async {

@@ -165,7 +165,7 @@ fn told(alignment: &Alignment) -> (FixStatus, String) {
         ),
         Verdict::PriorOutsideSearch => (
             FixStatus::PriorOutsideSearch,
-            "the best pose lies on the edge of the search or beyond; widen the prior's sigma".to_owned(),
+            "the best pose lies on the edge of the search or beyond; ask again from this one".to_owned(),
         ),
         Verdict::Lost { contrast } => (
             FixStatus::Lost,

@@ -124,6 +124,30 @@ fn a_restored_backup_is_of_another_lineage_and_a_restart_or_a_rebuild_is_not() {
     assert_ne!(open(copy.path()).lineage(), lineage);
 }
 
+/// Breaks it: tiles that stay as another policy had them, or that keep their lineage.
+#[test]
+fn another_policy_folds_the_map_anew_and_is_of_another_lineage() {
+    let dir = tempfile::tempdir().unwrap();
+    let asking_for = |publish_contributors| {
+        let policy = Policy { publish_contributors, ..Policy::trusting() };
+        let store = EmbeddedStore::open(&Options { policy, ..options(dir.path()) }).unwrap();
+        caught_up(&store);
+        store
+    };
+    let store = asking_for(200);
+    commit_all(&store, &some_uploads(3));
+    caught_up(&store);
+    assert_eq!(store.totals().cells, 0, "nobody has that many contributors");
+    let lineage = store.lineage();
+    drop(store);
+    let store = asking_for(1);
+    assert!(store.totals().cells > 0);
+    let other = store.lineage();
+    assert_ne!(other, lineage);
+    drop(store);
+    assert_eq!(asking_for(1).lineage(), other);
+}
+
 #[test]
 fn other_tools_read_a_backup() {
     let dir = tempfile::tempdir().unwrap();
