@@ -14,7 +14,7 @@ pub struct FixMeasurement {
     pub at: LatLon,
     /// Heading, radians counter-clockwise from true east.
     pub yaw_rad: f64,
-    /// Covariance of (east m, north m, yaw rad): upper triangle row by row. It is the whole error,
+    /// Covariance of (true east m, true north m, yaw rad): upper triangle row by row. It is the whole error,
     /// the map's own included.
     pub covariance: [f64; 6],
     /// Whether the answer holds the prior it was asked with, and not the batch and the map alone.

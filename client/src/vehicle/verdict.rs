@@ -1,7 +1,9 @@
 //! May an answer be used?
 
+use echofix_core::align::combine;
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
+use echofix_core::pose::wrap_angle;
 use echofix_proto::v1;
 
 use super::{AlertLimits, Config};
@@ -11,7 +13,8 @@ use super::{AlertLimits, Config};
 pub struct Fix {
     /// The pose of the body, with the sigmas of `covariance`.
     pub pose: GeoPose,
-    /// Covariance of (east m, north m, yaw rad): upper triangle row by row.
+    /// Covariance of (east m, north m, yaw rad), along the axes that `pose` is told in, *true* east and north: upper
+    /// triangle row by row.
     pub covariance: [f64; 6],
     /// Bounds of the error; `None` when the answer had no valid ones and none were required.
     pub protection: Option<v1::ProtectionLevel>,
@@ -85,7 +88,7 @@ pub(super) fn judge(
         return Err(Rejection::TooOld { age_s, max_s: config.max_fix_age_s });
     }
     let protection = protection(answer, config)?;
-    let covariance = covariance(answer)?;
+    let covariance = on_true_axes(answer, covariance(answer)?);
     let pose = pose(answer, &covariance)?;
     let map_epoch = answer.map.as_ref().map_or(0, |map| map.epoch);
     let contains_prior = answer.contains_prior;
@@ -124,6 +127,15 @@ fn covariance(answer: &v1::LocalizeResponse) -> Result<[f64; 6], Rejection> {
     Ok(covariance)
 }
 
+/// The service tells a covariance along the grid's axes, which lie up to some degrees off the true ones.
+fn on_true_axes(answer: &v1::LocalizeResponse, [xx, xy, xt, yy, yt, tt]: [f64; 6]) -> [f64; 6] {
+    let yaws = answer.utm.zip(answer.pose).map(|(utm, pose)| [utm.yaw_rad, pose.yaw_rad]);
+    let convergence_rad = yaws.map_or(0.0, |[grid, geodetic]| wrap_angle(grid - geodetic));
+    let on_grid = [[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]];
+    let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = combine::turned(&on_grid, -convergence_rad);
+    [xx, xy, xt, yy, yt, tt]
+}
+
 fn pose(answer: &v1::LocalizeResponse, covariance: &[f64; 6]) -> Result<GeoPose, Rejection> {
     let pose = answer.pose.ok_or(Rejection::Malformed("it has no pose"))?;
     let v1::GeodeticPose { latitude_deg, longitude_deg, yaw_rad } = pose;
@@ -159,6 +171,24 @@ mod tests {
         assert!((fix.pose.sigma_position_m - 0.9_f64.sqrt()).abs() < 1e-12);
         assert!((fix.pose.sigma_yaw_rad - 0.01).abs() < 1e-12);
         assert!((fix.age_s - 1.0).abs() < 1e-9);
+    }
+
+    /// Catches a covariance that is taken as it comes, or turned the wrong way.
+    #[test]
+    fn the_covariance_is_turned_from_the_grids_axes_to_the_poses() {
+        let mut answer = usable_answer(T0);
+        // The long axis lies along the vehicle.
+        let (yaw_rad, convergence_rad) = (0.7_f64, 0.045);
+        let (s, c) = (yaw_rad + convergence_rad).sin_cos();
+        let (long, short) = (0.25, 0.0025);
+        let on_grid = [long * c * c + short * s * s, (long - short) * s * c, long * s * s + short * c * c];
+        answer.covariance = vec![on_grid[0], on_grid[1], 0.0, on_grid[2], 0.0, 1e-5];
+        answer.pose.as_mut().unwrap().yaw_rad = yaw_rad;
+        answer.utm = Some(v1::UtmPose { yaw_rad: yaw_rad + convergence_rad, ..v1::UtmPose::default() });
+        let [xx, xy, _, yy, _, tt] = verdict(&answer, &Config::default()).unwrap().covariance;
+        let (s, c) = yaw_rad.sin_cos();
+        let across = xx * s * s - 2.0 * xy * s * c + yy * c * c;
+        assert!((across - short).abs() < 1e-12 && (tt - 1e-5).abs() < 1e-15, "{across}");
     }
 
     #[test]

@@ -97,11 +97,12 @@ impl TileId {
     }
 
     /// True when places of the tile can lie in its zone or near its border: UTM's eastings stay within 400 km of
-    /// the central meridian's 500 km, its northings below 10 000 km.
+    /// the central meridian's 500 km, its northings between 0 and 10 000 km, and two kilometres beyond, for a drive along
+    /// the equator is told in both hemispheres' zones.
     #[must_use]
     pub fn lies_on_grid(self) -> bool {
         let [x_m, y_m] = self.origin();
-        (100_000.0..900_000.0).contains(&x_m) && (-TILE_M..10_000_000.0).contains(&y_m)
+        (100_000.0..900_000.0).contains(&x_m) && (-2_000.0..10_002_000.0).contains(&y_m)
     }
 
     /// Tiles of a zone that touch the square of half width `half_m` around map metres.
@@ -163,6 +164,22 @@ mod tests {
         let tiles: Vec<_> = TileId::covering(zone, [51.2 * 10.5, 51.2 * 20.5], 50.0).collect();
         assert_eq!(tiles.len(), 9);
         assert!(tiles.is_sorted());
+    }
+
+    /// Catches: whole uploads refused near the equator.
+    #[test]
+    fn what_is_seen_from_the_equator_lies_on_the_grids_of_both_hemispheres() {
+        use crate::geo::{Grid, LatLon, zones_near};
+        for lat_deg in [-0.001, 0.0, 0.001] {
+            let at = LatLon { lat_deg, lon_deg: 109.3 };
+            let zones = zones_near(at, 512.0).unwrap();
+            assert_eq!(zones.len(), 2, "both hemispheres'");
+            for zone in zones {
+                let place = Grid::new(zone).unwrap().project(at).unwrap();
+                let seen = TileId::covering(zone, place, 512.0 + 500.0);
+                assert!(seen.into_iter().all(TileId::lies_on_grid), "{lat_deg} {zone:?}");
+            }
+        }
     }
 
     #[test]

@@ -67,19 +67,42 @@ pub struct Alarm {
     pub since: u16,
 }
 
+/// Quarantined uploads that are looked at together, each of which may be near all others.
+const MOST: usize = 2000;
+
 /// The alarms that quarantined uploads make, those of most contributors first; an upload belongs to one at most.
-/// Their order does not matter.
+/// Their order does not matter. What one contributor says again near the same place counts once, as of the first day;
+/// of very many that are left, the newest are looked at.
 #[must_use]
 pub fn alarms(quarantined: &[Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
-    let zones: BTreeSet<Zone> = quarantined.iter().map(|q| q.zone).collect();
+    let distinct = distinct(quarantined, limits);
+    let zones: BTreeSet<Zone> = distinct.iter().map(|q| q.zone).collect();
     let mut alarms = Vec::new();
     for zone in zones {
-        let mut here: Vec<&Quarantined> = quarantined.iter().filter(|q| q.zone == zone).collect();
+        let mut here: Vec<&Quarantined> = distinct.iter().filter(|q| q.zone == zone).copied().collect();
         here.sort_by_key(|q| (q.place.map(f64::to_bits), q.contributor, q.day, q.offset));
         alarms.extend(in_zone(&here, limits));
     }
     alarms.sort_by_key(|alarm| Reverse(alarm.contributors));
     alarms
+}
+
+/// The first of what each contributor says near each place.
+fn distinct<'a>(quarantined: &'a [Quarantined], limits: &AlarmLimits) -> Vec<&'a Quarantined> {
+    let mut all: Vec<&Quarantined> = quarantined.iter().collect();
+    all.sort_by_key(|q| (q.day, q.place.map(f64::to_bits), q.contributor, q.offset));
+    let step = |value: f64, size: f64| (value / size).round() as i64;
+    let mut said = BTreeSet::new();
+    all.retain(|q| {
+        let place = q.place.map(|along| step(along, 0.5 * limits.within_m));
+        let offset = q.offset.map(|offset| {
+            let pose = offset.pose();
+            let shift = [pose.x_m, pose.y_m].map(|along| step(along, 0.5 * limits.shift_m));
+            (shift, step(pose.yaw_rad, 0.5 * limits.yaw_rad))
+        });
+        said.insert((q.zone, q.contributor, place, offset))
+    });
+    all.split_off(all.len().saturating_sub(MOST))
 }
 
 fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
@@ -95,7 +118,7 @@ fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
         group
     };
     let mut groups: Vec<Vec<usize>> = here.iter().map(around).collect();
-    groups.sort_by_key(|group| Reverse(contributors(here, group)));
+    groups.sort_by_cached_key(|group| Reverse(contributors(here, group)));
     let mut taken = vec![false; here.len()];
     let mut alarms = Vec::new();
     for mut group in groups {
@@ -209,6 +232,18 @@ mod tests {
         assert_eq!(alarms.iter().map(|a| a.contributors).collect::<Vec<_>>(), [4, 3]);
         assert_eq!((alarms[0].kind, alarms[0].since), (Kind::Changed, 4));
         assert!(found(&[]).is_empty());
+    }
+
+    /// Catches: a page that takes minutes and gigabytes once a building site was passed by for months.
+    #[test]
+    fn what_is_said_again_counts_once_and_of_very_many_the_newest() {
+        let again: Vec<_> = (0..30).map(|day| upload(f64::from(day % 3), None, 1, 100 + day)).collect();
+        let limits = AlarmLimits::default();
+        assert_eq!(distinct(&again, &limits).iter().map(|q| q.day).collect::<Vec<_>>(), [100]);
+        let many: Vec<_> = (0..3000).map(|i| upload(0.0, None, i, i as u16)).collect();
+        let kept = distinct(&many, &limits);
+        assert_eq!((kept.len(), kept[0].day), (MOST, 1000));
+        assert_eq!(found(&many).iter().map(|a| a.contributors).collect::<Vec<_>>(), [MOST]);
     }
 
     /// The tree must take many uploads of one place: a spammer's, say.

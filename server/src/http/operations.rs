@@ -73,9 +73,14 @@ fn event(event: &Event) -> Value {
 
 /// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, and what they agree on
 pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> {
-    let kept_out = work(&app, |operations| Ok(operations.quarantined()?)).await?;
-    let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
-    let alarms: Vec<_> = alarms(&entries, &AlarmLimits::default()).iter().map(alarm).collect();
+    let (kept_out, alarms) = work(&app, |operations| {
+        let kept_out = operations.quarantined()?;
+        let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
+        let alarms = alarms(&entries, &AlarmLimits::default());
+        Ok((kept_out, alarms))
+    })
+    .await?;
+    let alarms: Vec<_> = alarms.iter().map(alarm).collect();
     let newest = kept_out.iter().rev().take(MAX_EVENTS).map(quarantined);
     let uploads: Vec<_> = newest.collect();
     Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))

@@ -53,7 +53,7 @@ pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
     let Some(base) = settled_base(shared, applied, &mut told)? else { return Ok(None) };
     let number = shared.dir.next_generation()?;
     let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
-    let fresh = Generation::create(&path, number, shared.cache_bytes, shared.journal_id, publish)?;
+    let fresh = Generation::create(&path, number, shared.cache_bytes, publish)?;
     reached(shared, Step::Created)?;
     let outcome = fill(shared, &fresh, &base, applied, &mut told);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
@@ -120,6 +120,7 @@ fn fill(
     }
     reached(shared, Step::Folded)?;
     set_versions(fresh, shared.served().as_deref(), applied, folded)?;
+    fresh.complete(shared.journal_id)?;
     fresh.tiles.flush()?;
     reached(shared, Step::Flushed)?;
     Ok(Some(folded))
@@ -157,7 +158,7 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
     settles.retain(|(number, _)| *number <= applied);
     let Some((_, newest)) = settles.last().copied() else { return Ok(Some(base)) };
     let (path, publish) = (shared.dir.scratch(), shared.policy.publish_contributors);
-    let scratch = Generation::create(&path, 0, shared.cache_bytes, shared.journal_id, publish)?;
+    let scratch = Generation::create(&path, 0, shared.cache_bytes, publish)?;
     // Its ledgers must not stay on disk.
     scratch.retire();
     scratch.load(&base)?;
@@ -177,7 +178,7 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
         })?;
     }
     reached(shared, Step::BaseFolded)?;
-    let uploads = base.uploads + index.uploads_up_to(newest);
+    let uploads = base.uploads + index.uploads_within(base.last, newest);
     let lost = || Error::Damaged { what: "the scratch tiles".to_owned(), reason: "one is gone".to_owned() };
     let base = Base::write(root, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
         scratch.tiles.raw(id)?.ok_or_else(lost)

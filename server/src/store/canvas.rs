@@ -1,6 +1,7 @@
 //! The tiles that a group of records changes, while they are folded.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use echofix_core::geo::TileId;
 use echofix_core::tile::{Ledger, Tile};
@@ -35,7 +36,13 @@ impl Source for InMemory {
 pub(super) struct Canvas<'a> {
     source: &'a dyn Source,
     tiles: BTreeMap<TileId, Touched>,
+    /// What is seen where there is no tile. It is not kept for each of them: uploads may ask for any number.
+    nothing: Folded,
 }
+
+/// Tiles on a canvas from which on it is kept before more is folded: some hundred megabytes, with what one more upload
+/// may add. Tests fill it at once.
+const FULL: usize = if cfg!(test) { 3 } else { 2048 };
 
 struct Touched {
     folded: Folded,
@@ -44,12 +51,20 @@ struct Touched {
 
 impl<'a> Canvas<'a> {
     pub(super) fn new(source: &'a dyn Source) -> Self {
-        Self { source, tiles: BTreeMap::new() }
+        Self { source, tiles: BTreeMap::new(), nothing: Folded::default() }
+    }
+
+    /// Is it time to keep what is on it?
+    pub(super) fn is_full(&self) -> bool {
+        self.tiles.len() >= FULL
     }
 
     /// A tile that the record of this number changes.
     pub(super) fn change(&mut self, id: TileId, number: u64) -> Result<&mut Folded, Error> {
-        let touched = self.touch(id)?;
+        let touched = match self.tiles.entry(id) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(Touched { folded: self.source.folded(id)?, changed: false }),
+        };
         touched.changed = true;
         touched.folded.version = number;
         Ok(&mut touched.folded)
@@ -57,25 +72,47 @@ impl<'a> Canvas<'a> {
 
     /// A tile as it is by now; empty where there is none.
     pub(super) fn get(&mut self, id: TileId) -> Result<&Folded, Error> {
-        Ok(&self.touch(id)?.folded)
+        match self.tiles.entry(id) {
+            Entry::Occupied(entry) => Ok(&entry.into_mut().folded),
+            Entry::Vacant(entry) => {
+                let folded = self.source.folded(id)?;
+                let is_one = folded.version != 0;
+                Ok(if is_one {
+                    &entry.insert(Touched { folded, changed: false }).folded
+                } else {
+                    &self.nothing
+                })
+            }
+        }
     }
 
-    /// A tile that was looked at before.
+    /// A tile that was looked at before; `None` where there is none, too.
     pub(super) fn looked_at(&self, id: TileId) -> Option<&Folded> {
         self.tiles.get(&id).map(|touched| &touched.folded)
-    }
-
-    fn touch(&mut self, id: TileId) -> Result<&mut Touched, Error> {
-        use std::collections::btree_map::Entry;
-        Ok(match self.tiles.entry(id) {
-            Entry::Occupied(entry) => entry.into_mut(),
-            Entry::Vacant(entry) => entry.insert(Touched { folded: self.source.folded(id)?, changed: false }),
-        })
     }
 
     /// The tiles that were changed.
     pub(super) fn into_changed(self) -> impl Iterator<Item = (TileId, Folded)> {
         let changed = self.tiles.into_iter().filter(|(_, touched)| touched.changed);
         changed.map(|(id, touched)| (id, touched.folded))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::some_uploads;
+    use super::*;
+
+    /// Catches: an upload of tiles far apart that takes a hundred times as much memory as it has tiles.
+    #[test]
+    fn what_is_not_there_is_not_kept() {
+        let source = InMemory::new();
+        let mut canvas = Canvas::new(&source);
+        let id = *some_uploads(1)[0].contribution.tiles.keys().next().unwrap();
+        assert_eq!(canvas.get(id).unwrap(), &Folded::default());
+        assert!(canvas.looked_at(id).is_none() && canvas.tiles.is_empty());
+        assert_eq!(canvas.change(id, 7).unwrap().version, 7);
+        assert_eq!(canvas.get(id).unwrap().version, 7);
+        assert_eq!(canvas.into_changed().count(), 1);
     }
 }

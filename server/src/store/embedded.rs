@@ -128,6 +128,10 @@ fn resume(
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
     match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
         Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
+        Ok((_, folded)) if folded < applied.max(index.before()) => {
+            tracing::warn!(folded, applied, "the tiles are not whole; folding them anew");
+            Ok(nothing)
+        }
         Ok(_) if policy != options.policy.digest() => {
             tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
             Ok(nothing)
@@ -144,8 +148,9 @@ fn resume(
 fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    let generation = Generation::create(&dir.generation(number), number, cache_bytes, journal, publish)?;
+    let generation = Generation::create(&dir.generation(number), number, cache_bytes, publish)?;
     generation.load(&Base::default())?;
+    generation.complete(journal)?;
     let policy = options.policy.digest();
     Manifest { journal, generation: number, applied: 0, lineage, policy }.write(dir.root())?;
     Ok(Arc::new(generation))

@@ -87,7 +87,7 @@ fn fold_record(
     }
 }
 
-/// Folds a group of records, each tile read and written once.
+/// Folds a group of records, each tile read and written once, unless there are very many of them.
 pub(super) fn fold_group(
     journal: &Journal,
     sink: &mut impl Sink,
@@ -96,14 +96,24 @@ pub(super) fn fold_group(
     vetting: &mut Vetting,
 ) -> Result<(), Error> {
     let mut reader = journal.reader();
-    let mut canvas = Canvas::new(sink);
-    let mut quarantined = Vec::new();
-    for written in counted {
-        let payload = reader.payload(written.at)?;
-        quarantined.extend(fold_record(&mut canvas, written.number, &payload, vetting)?);
+    let mut left = counted.iter();
+    loop {
+        let mut canvas = Canvas::new(sink);
+        let (mut quarantined, mut up_to) = (Vec::new(), folded);
+        while let Some(written) = left.next() {
+            let payload = reader.payload(written.at)?;
+            quarantined.extend(fold_record(&mut canvas, written.number, &payload, vetting)?);
+            if canvas.is_full() && !left.as_slice().is_empty() {
+                up_to = written.number;
+                break;
+            }
+        }
+        let changed: Vec<_> = canvas.into_changed().collect();
+        sink.keep(changed.into_iter(), &quarantined, up_to)?;
+        if left.as_slice().is_empty() {
+            return Ok(());
+        }
     }
-    let changed: Vec<_> = canvas.into_changed().collect();
-    sink.keep(changed.into_iter(), &quarantined, folded)
 }
 
 /// The journal without what is excluded.

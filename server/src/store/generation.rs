@@ -58,14 +58,9 @@ impl Drop for Dir {
 }
 
 impl Generation {
-    /// A new, empty generation; what is in its place is removed.
-    pub(super) fn create(
-        path: &Path,
-        number: u64,
-        cache_bytes: u64,
-        journal: Uuid,
-        publish: u8,
-    ) -> Result<Self, Error> {
+    /// A new, empty generation; what is in its place is removed. It can be opened again once it is
+    /// [complete](Self::complete).
+    pub(super) fn create(path: &Path, number: u64, cache_bytes: u64, publish: u8) -> Result<Self, Error> {
         match fs::remove_dir_all(path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(io_error("removing old tiles")(error));
@@ -73,8 +68,13 @@ impl Generation {
             _ => {}
         }
         let tiles = Tiles::open(path, cache_bytes)?;
-        tiles.set_journal(journal)?;
         Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: Dir::new(path) })
+    }
+
+    /// Names the journal that all of it was folded from. It is the last that is written of a new generation: one that a
+    /// crash took back to the middle of its making is not taken for a whole one.
+    pub(super) fn complete(&self, journal: Uuid) -> Result<(), Error> {
+        self.tiles.set_journal(journal)
     }
 
     /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used. sled
@@ -193,5 +193,26 @@ impl Source for Generation {
 impl Source for &Generation {
     fn folded(&self, id: TileId) -> Result<Folded, Error> {
         self.tiles.folded(id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches: a generation in the making, which a power cut may leave behind, taken for a whole one.
+    #[test]
+    fn what_was_not_completed_is_not_opened() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, journal) = (dir.path().join("tiles-1"), Uuid::from_u128(5));
+        let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
+        generation.load(&Base::default()).unwrap();
+        drop(generation);
+        assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_err());
+        let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
+        generation.load(&Base::default()).unwrap();
+        generation.complete(journal).unwrap();
+        drop(generation);
+        assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_ok());
     }
 }

@@ -188,9 +188,9 @@ impl Index {
         self.lock().numbers.len() as u64
     }
 
-    /// Uploads among the records up to a number.
-    pub(super) fn uploads_up_to(&self, last: u64) -> u64 {
-        self.lock().numbers.values().filter(|number| **number <= last).count() as u64
+    /// Uploads among the records after one, up to another.
+    pub(super) fn uploads_within(&self, after: u64, last: u64) -> u64 {
+        self.lock().numbers.values().filter(|number| (after + 1..=last).contains(number)).count() as u64
     }
 
     /// Number of the newest control; 0 without any.

@@ -6,6 +6,10 @@ use echofix_core::tile::{Decay, Tile};
 use echofix_core::vetting::Limits;
 use siphasher::sip::SipHasher24;
 
+/// Raised by whoever changes what folding makes of the same journal under the same policy, be it by a byte of the weights
+/// that uploads are held against: maps are then folded anew, of another lineage.
+const FOLDING: u32 = 1;
+
 /// What of the crowd's evidence counts, and what is served.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Policy {
@@ -28,7 +32,7 @@ impl Policy {
     /// Tells policies apart, and what the code's own constants in them were: tiles of another one are not the same.
     pub(super) fn digest(&self) -> u64 {
         let mut hasher = SipHasher24::new();
-        hasher.write(format!("{self:?}").as_bytes());
+        hasher.write(format!("{FOLDING} {self:?}").as_bytes());
         hasher.finish()
     }
 

@@ -1,11 +1,13 @@
 //! Is what is stored sound, and is the map what the journal says?
 
+use std::sync::Arc;
+
 use echofix_core::tile;
 
 use super::embedded::EmbeddedStore;
 use super::fold::unreadable;
 use super::generation::Generation;
-use super::{Error, entry};
+use super::{Error, Progress, entry};
 
 /// What a verification found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -27,10 +29,9 @@ impl EmbeddedStore {
         let mut found = Verified::default();
         self.verify_journal(&mut found);
         self.verify_base(&mut found);
-        let generation = self.shared.readable()?;
-        verify_tiles(&generation, &mut found);
+        verify_tiles(&*self.shared.readable()?, &mut found);
         if replay {
-            self.compare(&generation, &mut found)?;
+            self.compare(&mut found)?;
         }
         Ok(found)
     }
@@ -67,23 +68,28 @@ impl EmbeddedStore {
         found.damage.extend(outcome.err().map(|error| error.to_string()));
     }
 
-    /// Tiles that change meanwhile are left out.
-    fn compare(&self, generation: &Generation, found: &mut Verified) -> Result<(), Error> {
-        let epoch = self.shared.progress.borrow().epoch;
+    /// Tiles that change meanwhile are left out. Where another generation is served meanwhile, nothing is said.
+    fn compare(&self, found: &mut Verified) -> Result<(), Error> {
+        let generation = self.shared.readable()?;
+        let Progress { epoch, journaled, .. } = *self.shared.progress.borrow();
         let mut snapshot = self.snapshot(epoch)?;
-        let mut compared = 0;
+        let (mut compared, mut damage) = (0, Vec::new());
         for id in generation.ids() {
             let replayed = snapshot.tiles.remove(&id);
-            let Some((version, encoded)) = generation.tiles.raw(id)?.filter(|(version, _)| *version <= epoch)
+            let Some((version, tile)) = generation.tiles.stored(id)?.filter(|(version, _)| *version <= epoch)
             else {
                 continue;
             };
             compared += 1;
-            if replayed.is_none_or(|replayed| tile::encode(&replayed) != encoded) {
-                found.damage.push(format!("tile {id} in version {version} is not what the journal says"));
+            if replayed.is_none_or(|replayed| replayed != tile) {
+                damage.push(format!("tile {id} in version {version} is not what the journal says"));
             }
         }
-        found.damage.extend(snapshot.tiles.keys().map(|id| format!("tile {id} is missing")));
+        damage.extend(snapshot.tiles.keys().map(|id| format!("tile {id} is missing")));
+        if !Arc::ptr_eq(&generation, &self.shared.readable()?) {
+            return Err(Error::Rebuilding { folded: epoch, journaled });
+        }
+        found.damage.extend(damage);
         found.compared = Some(compared);
         Ok(())
     }

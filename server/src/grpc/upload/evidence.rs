@@ -48,8 +48,10 @@ impl Evidence {
     /// The contribution, if it could have come from a vehicle that keeps to the limits.
     pub(super) fn checked(self, config: &MappingConfig) -> Result<Contributed, Error> {
         let limits = config.limits();
-        if self.sigma_position_m > limits.max_sigma_position_m
-            || self.sigma_yaw_rad > limits.max_sigma_yaw_rad
+        // They came as single precision, in which a sigma that keeps to the limit may have been rounded up.
+        let exceeds = |sigma: f64, most: f64| sigma > most.max(f64::from(most as f32));
+        if exceeds(self.sigma_position_m, limits.max_sigma_position_m)
+            || exceeds(self.sigma_yaw_rad, limits.max_sigma_yaw_rad)
         {
             let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);
             return Err(Refusal::PoseTooUncertain { position_m, yaw_deg }.into());
@@ -125,6 +127,8 @@ mod tests {
     fn evidence_that_no_vehicle_could_have_gathered_is_refused() {
         let reason = |contribution: &Contribution, sigma| checked(contribution, sigma).unwrap_err().reason();
         assert_eq!(reason(&contribution(10, 3, 12_000), 0.5), "POSE_TOO_UNCERTAIN");
+        // In single precision the limit of 0.3 m is a little more than that.
+        assert!(checked(&contribution(10, 3, 12_000), 0.3).is_ok());
         assert_eq!(reason(&contribution(10, MAX_CELL_HITS + 1, 12_000), 0.1), "INVALID");
         assert_eq!(reason(&contribution(10, 3, -7), 0.1), "INVALID");
         assert_eq!(reason(&contribution(200_000, 3, 12_000), 0.1), "INVALID");
