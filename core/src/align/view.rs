@@ -127,11 +127,22 @@ impl MapView {
         })
     }
 
-    /// Passes over the cell of a typical hit: how many surveys the map here amounts to.
+    /// Passes over the cell of a typical hit: how many surveys the map here amounts to. Most hits are those of the
+    /// busiest street, though another may be what holds the pose: its tiles' passes are a bound, each tile counting for
+    /// what it weighs, and not for how often it was driven through.
     #[must_use]
     pub fn typical_passes(&self) -> f64 {
+        let tiles = &self.square().tiles;
         let sum = |[a, b]: [f64; 2], tile: &Arc<TileWeights>| [a + tile.passes[0], b + tile.passes[1]];
-        mean(self.square().tiles.iter().fold([0.0; 2], sum))
+        let typical = mean(tiles.iter().fold([0.0; 2], sum));
+        let (mut weight, mut variance) = (0.0, 0.0);
+        for tile in tiles {
+            let passes = if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { mean(tile.passes) };
+            let hits_of_a_pass = tile.passes[1] / passes;
+            weight += hits_of_a_pass;
+            variance += hits_of_a_pass / passes;
+        }
+        if variance > 0.0 { typical.min(weight / variance) } else { typical }
     }
 }
 
@@ -192,5 +203,22 @@ mod tests {
         assert!(shown > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
         let [x, y] = frame.to_metres([0.0, 0.0]);
         assert!(view.tile_below([x - CELL_M, y]).is_none() && view.tile_below(place).is_some());
+    }
+
+    /// Catches: a map's error that is reckoned from the avenue where the vehicle is held by the lane's fronts.
+    #[test]
+    fn a_busy_street_does_not_speak_for_the_lane_beside_it() {
+        let zone = Zone::from_epsg(32614).unwrap();
+        let place = [600_010.0, 3_300_020.0];
+        let driven = |x, passes| {
+            let id = TileId { x, ..TileId::of(zone, place) };
+            let cell = Cell { hits: 2 * passes, passes, presence: ALWAYS, ..Cell::default() };
+            let tile = Tile::from_cells((0..2000).map(|i| (i * 131, cell)).collect()).unwrap();
+            Arc::new(TileWeights::new(id, |at| (at == id).then_some(&tile)))
+        };
+        let x = TileId::of(zone, place).x;
+        let mut view = MapView::default();
+        view.show(Frame::around(zone, place, 50.0, 6.0), &[driven(x, 3), driven(x + 1, 200)]);
+        assert!((5.8..6.0).contains(&view.typical_passes()), "{}", view.typical_passes());
     }
 }

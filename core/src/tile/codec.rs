@@ -8,10 +8,9 @@
 //! other, so they pack better together than cell by cell. Indices are stored as distances, presences
 //! as what is missing from always; of blocks, only those that are not 0. The datum comes last.
 
-use super::ledger::Votes;
+use super::votes::Kept;
 use super::{CELLS, Ledger, Tile};
 use crate::datum::Datum;
-use crate::evidence::codec::{blocks, put_blocks};
 use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
 pub use crate::sealed::DecodeError;
@@ -106,13 +105,11 @@ fn tile(input: &mut Reader<'_>) -> Option<Tile> {
 #[must_use]
 pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
     let mut out = Writer::default();
-    out.put(ledger.iter().count() as u64);
-    for (pass, votes) in ledger.iter() {
+    out.put(ledger.passes().count() as u64);
+    for (pass, kept) in ledger.iter() {
         out.put(u64::from(pass.day));
         out.put(pass.contributor);
-        out.put(votes.cells.len() as u64);
-        out.put_ascending(votes.cells.iter().copied());
-        put_blocks(&mut out, &votes.observed);
+        out.bytes.extend_from_slice(kept.bytes());
     }
     LEDGER.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
 }
@@ -129,15 +126,13 @@ pub fn decode_ledger(bytes: &[u8]) -> Result<Ledger, DecodeError> {
 
 fn ledger(input: &mut Reader<'_>) -> Option<Ledger> {
     let passes = input.count()?;
-    let mut votes: Vec<(Pass, Votes)> = Vec::new();
+    let mut kept = Vec::new();
     for _ in 0..passes {
         let pass = Pass { day: input.get()?, contributor: input.get()? };
-        let count = input.count()?;
-        let cells = input.ascending(count, CELLS)?.into_iter().collect();
-        votes.push((pass, Votes { cells, observed: blocks(input)? }));
+        kept.push((pass, Kept::take(input)?));
     }
     input.finish()?;
-    Some(votes.into_iter().collect())
+    Some(kept.into_iter().collect())
 }
 
 /// The values that are not 0: their number, their places, and they.

@@ -1,8 +1,9 @@
 //! Who voted for which cell and had what in view, while it matters.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use super::CELLS;
+use super::votes::Kept;
 use crate::evidence::{Pass, SUPPORT_BLOCKS, Share, ViewBlocks, support_block, view_block};
 
 /// Days a pass stays open, counted back from the newest one.
@@ -12,15 +13,6 @@ const MAX_VOTES: usize = 500_000;
 /// Votes that a pass's blocks in view take the place of.
 const OBSERVED_VOTES: usize = 32;
 
-/// What a pass has said of one tile.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Votes {
-    /// Cells it hit.
-    pub cells: BTreeSet<u32>,
-    /// Blocks it had in view.
-    pub observed: ViewBlocks,
-}
-
 /// What the open passes have said of one tile.
 ///
 /// It is bounded: passes older than a month, and the oldest ones beyond half a million votes, are
@@ -28,7 +20,7 @@ pub struct Votes {
 /// one unless a later pass of the same contributor is open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ledger {
-    passes: BTreeMap<Pass, Votes>,
+    passes: BTreeMap<Pass, Kept>,
 }
 
 /// What is new in a share.
@@ -55,18 +47,22 @@ impl Ledger {
     /// Records what an upload of a pass says of the tile, and tells what is new in it.
     pub(super) fn record(&mut self, pass: Pass, share: &Share) -> News {
         let mut known = Known::of(self, pass.contributor);
-        let votes = self.passes.entry(pass).or_default();
+        let mut votes = self.passes.get(&pass).map(Kept::votes).unwrap_or_default();
         let cells = share.cells.iter().map(|hit| CellNews {
-            pass: votes.cells.insert(hit.index),
+            pass: votes.cells.binary_search(&hit.index).is_err(),
             contributor: known.cells.insert(hit.index as usize),
         });
-        let cells = cells.collect();
+        let cells: Vec<_> = cells.collect();
         let blocks = share.cells.iter().map(|hit| support_block(hit.index));
         let supported = blocks.filter(|block| known.blocks.insert(*block)).collect();
         let hit: ViewBlocks = share.cells.iter().map(|hit| view_block(hit.index)).collect();
         let in_view = share.observed.union(&hit);
         let observed = in_view.without(&votes.observed);
         votes.observed = votes.observed.union(&in_view);
+        let new = share.cells.iter().zip(&cells).filter(|(_, news)| news.pass).map(|(hit, _)| hit.index);
+        votes.cells.extend(new);
+        votes.cells.sort_unstable();
+        self.passes.insert(pass, Kept::of(&votes));
         self.close_oldest(MAX_VOTES);
         News { cells, observed, supported }
     }
@@ -82,7 +78,7 @@ impl Ledger {
         if let Some((newest, _)) = self.passes.last_key_value() {
             self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
         }
-        let size = |votes: &Votes| votes.cells.len() + OBSERVED_VOTES;
+        let size = |kept: &Kept| kept.cells() + OBSERVED_VOTES;
         let mut held: usize = self.passes.values().map(size).sum();
         while held > max_votes
             && let Some((_, closed)) = self.passes.pop_first()
@@ -97,9 +93,14 @@ impl Ledger {
         self.passes = self.passes.split_off(&Pass { day, contributor: 0 });
     }
 
+    /// The passes, in order.
+    pub fn passes(&self) -> impl Iterator<Item = Pass> {
+        self.passes.keys().copied()
+    }
+
     /// Passes and what they said, in order.
-    pub fn iter(&self) -> impl Iterator<Item = (Pass, &Votes)> {
-        self.passes.iter().map(|(pass, votes)| (*pass, votes))
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Pass, &Kept)> {
+        self.passes.iter().map(|(pass, kept)| (*pass, kept))
     }
 
     /// True when no pass can vote twice.
@@ -109,8 +110,8 @@ impl Ledger {
     }
 }
 
-impl FromIterator<(Pass, Votes)> for Ledger {
-    fn from_iter<I: IntoIterator<Item = (Pass, Votes)>>(iter: I) -> Self {
+impl FromIterator<(Pass, Kept)> for Ledger {
+    fn from_iter<I: IntoIterator<Item = (Pass, Kept)>>(iter: I) -> Self {
         Self { passes: iter.into_iter().collect() }
     }
 }
@@ -124,10 +125,10 @@ struct Known {
 impl Known {
     fn of(ledger: &Ledger, contributor: u64) -> Self {
         let mut known = Self { cells: Bits::new(CELLS as usize), blocks: Bits::new(SUPPORT_BLOCKS) };
-        for (_, votes) in ledger.iter().filter(|(pass, _)| pass.contributor == contributor) {
-            for cell in &votes.cells {
-                known.cells.insert(*cell as usize);
-                known.blocks.insert(support_block(*cell));
+        for (_, kept) in ledger.iter().filter(|(pass, _)| pass.contributor == contributor) {
+            for cell in kept.votes().cells {
+                known.cells.insert(cell as usize);
+                known.blocks.insert(support_block(cell));
             }
         }
         known
@@ -173,9 +174,9 @@ mod tests {
         for day in 0..100 {
             ledger.record(Pass { day, contributor: 1 }, &share(0..10));
         }
-        assert_eq!(ledger.iter().count(), usize::from(OPEN_DAYS) + 1);
+        assert_eq!(ledger.passes().count(), usize::from(OPEN_DAYS) + 1);
         ledger.close_oldest(2 * (10 + OBSERVED_VOTES) + 1);
-        let left: Vec<_> = ledger.iter().map(|(pass, _)| pass.day).collect();
+        let left: Vec<_> = ledger.passes().map(|pass| pass.day).collect();
         assert_eq!(left, [98, 99]);
     }
 
@@ -186,7 +187,7 @@ mod tests {
             ledger.record(Pass { day, contributor: 7 }, &share([1, 2]));
         }
         ledger.forget_before(12);
-        let left: Vec<_> = ledger.iter().map(|(pass, _)| pass.day).collect();
+        let left: Vec<_> = ledger.passes().map(|pass| pass.day).collect();
         assert_eq!(left, [12]);
         let news = ledger.record(Pass { day: 12, contributor: 7 }, &share([2, 3]));
         assert_eq!(new_cells(&news), [(false, false), (true, true)]);

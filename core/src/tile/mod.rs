@@ -10,9 +10,10 @@ mod fold;
 mod ledger;
 mod merge;
 mod published;
+mod votes;
 
 pub use codec::{DecodeError, decode, decode_ledger, encode, encode_ledger};
-pub use ledger::{Ledger, Votes};
+pub use ledger::Ledger;
 pub use published::Decay;
 
 use crate::datum::Datum;

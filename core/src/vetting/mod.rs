@@ -46,6 +46,6 @@ pub trait MapSide {
 /// for others'.
 #[must_use]
 pub fn told_by_others(tile: &Tile, ledger: &Ledger, contributor: u64) -> bool {
-    let own = ledger.iter().filter(|(pass, _)| pass.contributor == contributor).count();
+    let own = ledger.passes().filter(|pass| pass.contributor == contributor).count();
     !tile.is_empty() && tile.datum().passes as usize > own
 }

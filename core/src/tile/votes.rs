@@ -1,0 +1,58 @@
+//! What a pass has said of one tile, and the bytes it is kept in.
+
+use super::CELLS;
+use crate::evidence::ViewBlocks;
+use crate::evidence::codec::{blocks, put_blocks};
+use crate::varint::{Reader, Writer};
+
+/// What a pass has said of one tile.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Votes {
+    /// Cells it hit, in order.
+    pub(super) cells: Vec<u32>,
+    /// Blocks it had in view.
+    pub(super) observed: ViewBlocks,
+}
+
+/// The same in bytes: of the many passes of a busy street, an upload concerns those of its own contributor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Kept {
+    cells: usize,
+    bytes: Box<[u8]>,
+}
+
+impl Kept {
+    pub(super) fn of(votes: &Votes) -> Self {
+        let mut out = Writer::default();
+        out.put(votes.cells.len() as u64);
+        out.put_ascending(votes.cells.iter().copied());
+        put_blocks(&mut out, &votes.observed);
+        Self { cells: votes.cells.len(), bytes: out.bytes.into_boxed_slice() }
+    }
+
+    /// Takes them off bytes; `None` where they break the format.
+    pub(super) fn take(input: &mut Reader<'_>) -> Option<Self> {
+        let from = input.rest;
+        let votes = read(input)?;
+        let bytes = &from[..from.len() - input.rest.len()];
+        Some(Self { cells: votes.cells.len(), bytes: bytes.into() })
+    }
+
+    pub(super) fn votes(&self) -> Votes {
+        read(&mut Reader { rest: &self.bytes }).expect("they were written here, or read once before")
+    }
+
+    /// Number of cells that were hit.
+    pub(super) fn cells(&self) -> usize {
+        self.cells
+    }
+
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+fn read(input: &mut Reader<'_>) -> Option<Votes> {
+    let count = input.count()?;
+    Some(Votes { cells: input.ascending(count, CELLS)?, observed: blocks(input)? })
+}
