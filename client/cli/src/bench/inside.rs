@@ -15,12 +15,12 @@ use echofix_proto::v1::LocalizeRequest;
 use echofix_server::config::{Config, Sources};
 use echofix_server::grpc::{LocalizationApi, decode};
 use echofix_server::locating::Locator;
-use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy};
+use echofix_server::store::{EmbeddedStore, MapStore, Options};
 use prost::Message;
 use serde::Serialize;
 
 use super::case::Case;
-use super::town::Town;
+use super::town::{TRUSTING, Town};
 use crate::fixes::Recording;
 use crate::statistics::Percentiles;
 
@@ -61,12 +61,15 @@ impl Scene {
     /// # Errors
     /// When the map does not open.
     pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
-        let config = Config::load(&Sources::default())?;
+        // Under the policy that the service had: the map would be folded anew under another one.
+        let settings = TRUSTING.split_once('=').map(|(key, value)| (key.to_owned(), value.to_owned()));
+        let config =
+            Config::load(&Sources { settings: settings.into_iter().collect(), ..Sources::default() })?;
         let options = Options {
             data_dir: folder.join("data"),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
-            policy: Policy::trusting(),
+            policy: config.mapping.policy(),
         };
         let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
         let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));
