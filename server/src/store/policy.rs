@@ -7,8 +7,8 @@ use echofix_core::vetting::Limits;
 use siphasher::sip::SipHasher24;
 
 /// Raised by whoever changes what folding makes of the same journal under the same policy, be it by a byte of the weights
-/// that uploads are held against: maps are then folded anew, of another lineage.
-const FOLDING: u32 = 1;
+/// that uploads are held against: maps are then folded anew, of another lineage. A test in `tests/folding.rs` tells when.
+pub(super) const FOLDING: u32 = 1;
 
 /// What of the crowd's evidence counts, and what is served.
 #[derive(Debug, Clone, Copy, PartialEq)]

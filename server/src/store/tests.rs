@@ -13,6 +13,7 @@ use super::*;
 
 mod controls;
 mod copies;
+mod folding;
 mod past;
 mod settling;
 

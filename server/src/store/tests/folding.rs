@@ -1,0 +1,56 @@
+//! What folding makes of a journal stays the same, or is told apart.
+
+use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
+use echofix_core::geo::{CellIndex, Zone};
+use echofix_core::vetting::Limits;
+
+use super::super::policy::FOLDING;
+use super::*;
+
+/// Numbers as good as random ones.
+fn noise(seed: i64) -> i64 {
+    let mixed = (seed as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as i64
+}
+
+/// Two fronts with bays of different depths, 120 m long, as a contributor sees them who is off by some cells.
+fn street(contributor: u64, [east, north]: [i64; 2]) -> Upload {
+    let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
+    for (x, side) in (0..1200).flat_map(|x| [(x, -1), (x, 1)]) {
+        let depth = 100 + 15 * (noise(side * 1000 + x / 47) % 4);
+        let rough = noise(contributor as i64 * 100_000 + 2 * x + side) % 3 - 1;
+        let cell = CellIndex { x: 6_000_600 + x + east, y: 33_000_300 + side * depth + rough + north };
+        let (id, index) = TileId::locate(Zone::from_epsg(32614).unwrap(), cell);
+        tiles.entry(id).or_default().insert(index, CellHits { index, hits: 2, offset_sum: [200, 250] });
+    }
+    let share = |cells: BTreeMap<u32, CellHits>| Share::of_hits(cells.into_values().collect());
+    let tiles: BTreeMap<_, _> = tiles.into_iter().map(|(id, cells)| (id, share(cells))).collect();
+    let detections = tiles.values().map(Share::detections).sum();
+    Upload {
+        id: Uuid::from_u128(contributor.into()),
+        pass: Pass { day: 20_000, contributor },
+        forget_before: 0,
+        contribution: Contribution { tiles, detections },
+        answer: Vec::new(),
+    }
+}
+
+/// Fails when folding makes something else of the same journal. Where that is meant, raise `FOLDING`, so that maps are
+/// folded anew and callers take no version for what it no longer is; and put the new sum here.
+#[test]
+fn the_same_journal_gives_the_same_map_from_build_to_build() {
+    let dir = tempfile::tempdir().unwrap();
+    let policy = Policy { vetting: Some(Limits::default()), ..Policy::trusting() };
+    let store = EmbeddedStore::open(&Options { policy, ..options(dir.path()) }).unwrap();
+    commit_all(&store, &[street(1, [0, 0]), street(2, [2, -1]), street(3, [-1, 2])]);
+    caught_up(&store);
+    assert_eq!(store.quarantined().unwrap(), []);
+    let (mut sum, mut moved) = (0, 0);
+    for id in map(&store).into_keys() {
+        let tile = store.tile(id).unwrap().unwrap().tile;
+        moved += tile.datum().shift_mm[0].abs();
+        sum = crc32c::crc32c_append(sum, format!("{id} {tile:?}").as_bytes());
+    }
+    assert!(moved > 0, "they were held against each other");
+    assert_eq!((FOLDING, sum), (1, 0xb914_38e2), "{sum:#x}");
+}
