@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use crate::{binary, http, until_blocking};
 
 /// From the start of the process until it is ready: what was acknowledged in a hurry is folded first.
-const READY_WITHIN: Duration = Duration::from_secs(120);
+const READY_WITHIN: Duration = Duration::from_mins(2);
 /// From SIGTERM to the end of the process: the configured grace and some.
 const ENDS_WITHIN: Duration = Duration::from_secs(12);
 
