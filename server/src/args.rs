@@ -66,7 +66,11 @@ impl ServeArgs {
     }
 }
 
-fn key_and_value(text: &str) -> Result<(String, String), String> {
+/// The key and the value of a setting.
+///
+/// # Errors
+/// What was expected, where there is no equals sign.
+pub fn key_and_value(text: &str) -> Result<(String, String), String> {
     let (key, value) = text.split_once('=').ok_or("expected SECTION.KEY=VALUE")?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }

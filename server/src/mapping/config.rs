@@ -95,9 +95,11 @@ impl MappingConfig {
         }
     }
 
-    /// What poses and detections must fulfil.
+    /// What poses and detections must fulfil. Sigmas come in single precision, in which one that keeps to its limit may
+    /// have been rounded up.
     #[must_use]
     pub fn limits(&self) -> Limits {
+        let as_sent = |most: f64| most.max(f64::from(most as f32));
         let gate = Gate {
             min_speed_mps: self.min_speed_mps,
             max_range_m: self.max_range_m,
@@ -105,11 +107,25 @@ impl MappingConfig {
         };
         Limits {
             gate,
-            max_sigma_position_m: self.max_sigma_position_m,
-            max_sigma_yaw_rad: self.max_sigma_yaw_deg.to_radians(),
+            max_sigma_position_m: as_sent(self.max_sigma_position_m),
+            max_sigma_yaw_rad: as_sent(self.max_sigma_yaw_deg.to_radians()),
             max_pose_gap_s: self.max_pose_gap_s,
             max_speed_mps: self.max_speed_mps,
             max_tiles: self.max_upload_tiles,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches: poses and evidence refused for good because their sigma is the limit itself.
+    #[test]
+    fn a_sigma_at_the_limit_keeps_to_it_in_single_precision() {
+        let limits = MappingConfig::default().limits();
+        assert!((0.3..0.300_001).contains(&limits.max_sigma_position_m));
+        assert!(f64::from(0.3_f32) <= limits.max_sigma_position_m);
+        assert!(f64::from(0.5_f32.to_radians()) <= limits.max_sigma_yaw_rad);
     }
 }

@@ -12,7 +12,8 @@ use echofix_core::batch::Batch;
 use echofix_core::geo::{Grid, LatLon, TileId};
 use echofix_core::window::Frame;
 use echofix_proto::v1::LocalizeRequest;
-use echofix_server::config::{Config, Sources};
+use echofix_server::args::{ServeArgs, key_and_value};
+use echofix_server::config::Config;
 use echofix_server::grpc::{LocalizationApi, decode};
 use echofix_server::locating::Locator;
 use echofix_server::store::{EmbeddedStore, MapStore, Options};
@@ -61,10 +62,9 @@ impl Scene {
     /// # Errors
     /// When the map does not open.
     pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
-        // Under the policy that the service had: the map would be folded anew under another one.
-        let settings = TRUSTING.split_once('=').map(|(key, value)| (key.to_owned(), value.to_owned()));
-        let config =
-            Config::load(&Sources { settings: settings.into_iter().collect(), ..Sources::default() })?;
+        // As the service was told: under another policy the map would be folded anew.
+        let settings = vec![key_and_value(TRUSTING).map_err(|why| anyhow!(why))?];
+        let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {
             data_dir: folder.join("data"),
             cache_bytes: config.store.cache_mib << 20,

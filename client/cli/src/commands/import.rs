@@ -22,7 +22,8 @@ pub struct Args {
 /// Foreign data that can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
-    /// A piece of RADIATE: a spinning Navtech radar, decoded to points (`scans.csv.gz`, `poses.csv`, `gps_ins.csv`).
+    /// A piece of RADIATE: a spinning Navtech radar, decoded to points (`scans.csv.gz`, `poses.csv`,
+    /// `gps_ins.csv`).
     Radiate,
     /// A piece of comma2k19: the object tracks of a production car's radar.
     Comma2k19,

@@ -20,7 +20,8 @@ enum Operation {
     Sync {
         /// The folder; one that an earlier run filled is brought up to date.
         dir: PathBuf,
-        /// West, south, east, north in degrees, separated by commas: some 3 km square at most; all of the map without it, where that is no larger.
+        /// West, south, east, north in degrees, separated by commas: some 3 km square at most. Without it all of the
+        /// map, where that is no larger.
         #[arg(long, allow_hyphen_values = true, value_parser = area)]
         area: Option<GeodeticBox>,
         /// Address of the service's gRPC port.

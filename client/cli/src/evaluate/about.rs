@@ -47,9 +47,10 @@ own; the last columns of the first table measure like that.";
 
 const METHOD: &str = "`paper` takes the hypothesis of the highest correlation, as printed, from maps and batches without a gate
 for movers; `echofix` is what the service answers, batches organised by odometry that radial
-speeds corrected. Both get the same epochs, about a second of driving apart, after at least a second above 1 m/s, and the same priors of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percentiles;
-in brackets 95 % confidence intervals, from a bootstrap over blocks of two minutes, for epochs near each
-other are not independent. `Map's own error` is how far off the poses were, on average, that the map was
+speeds corrected. Both get the same epochs, about a second of driving apart, after at least a second above
+1 m/s, and the same priors of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percentiles; in brackets
+95 % confidence intervals, from a bootstrap over blocks of two minutes, for epochs near each other are not
+independent. `Map's own error` is how far off the poses were, on average, that the map was
 made from: nothing that aligns with the map can know of it.";
 
 /// The whole report: what all experiments share, then each between markers of its own.

@@ -48,10 +48,8 @@ impl Evidence {
     /// The contribution, if it could have come from a vehicle that keeps to the limits.
     pub(super) fn checked(self, config: &MappingConfig) -> Result<Contributed, Error> {
         let limits = config.limits();
-        // They came as single precision, in which a sigma that keeps to the limit may have been rounded up.
-        let exceeds = |sigma: f64, most: f64| sigma > most.max(f64::from(most as f32));
-        if exceeds(self.sigma_position_m, limits.max_sigma_position_m)
-            || exceeds(self.sigma_yaw_rad, limits.max_sigma_yaw_rad)
+        if self.sigma_position_m > limits.max_sigma_position_m
+            || self.sigma_yaw_rad > limits.max_sigma_yaw_rad
         {
             let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);
             return Err(Refusal::PoseTooUncertain { position_m, yaw_deg }.into());
