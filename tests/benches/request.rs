@@ -12,7 +12,7 @@ use echofix_core::scan::Gate;
 use echofix_proto::v1::LocalizeRequest;
 use echofix_server::grpc::decode;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
-use echofix_tests::asking::{Sigma, cases};
+use echofix_tests::asking::requests;
 use prost::Message;
 
 #[global_allocator]
@@ -27,7 +27,7 @@ static REQUEST: LazyLock<LocalizeRequest> = LazyLock::new(|| {
     let city = City::generate(&CityParams::default()).expect("the default town can be made");
     let way = Route::wander(&city, 1, 300.0);
     let drive = simulate(&city.on_day(3), &way, &DriveParams::default()).expect("the drive can be made");
-    let asked = cases(&drive, 5.0, Sigma::PAPER, 1);
+    let asked = requests(&drive, 5.0, 1);
     asked[asked.len() / 2].request.clone()
 });
 

@@ -1,10 +1,10 @@
 //! Clients of the vehicles' port, and refusals taken apart.
 
-use echofix_client::{Localizer, LocalizerOptions, service};
+use echofix_client::{Localizer, service};
+use echofix_harness::replay::patient_localizer;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::map_service_client::MapServiceClient;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
-use std::time::Duration;
 use tonic::transport::Channel;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
@@ -34,8 +34,7 @@ pub async fn reading(service: &Service) -> MapServiceClient<Channel> {
 
 /// The vehicle library's localizer, more patient than a vehicle.
 pub fn localizer(service: &Service) -> Localizer {
-    let options = LocalizerOptions { deadline: Duration::from_secs(30), ..LocalizerOptions::default() };
-    Localizer::new(service::Service::at(&service.grpc).endpoint().expect("the address is one"), options)
+    patient_localizer(&service.grpc).expect("the address is one")
 }
 
 /// The reason of a `FAILED_PRECONDITION`, in the service's domain.

@@ -1,51 +1,31 @@
 //! A drive goes to the map.
 
-use std::time::Duration;
-
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::upload::{Config, Form, Recorder, Upload};
+use echofix_client::upload::{Config, Form, Upload};
 use echofix_core::drive::Drive;
+use echofix_harness::recording::{record, to_the_ends};
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
 use tonic::Status;
 use tonic::transport::Channel;
 
+use crate::grpc;
 use crate::service::Service;
-use crate::{grpc, http, until};
-
-/// How drives are recorded here: the vehicle's way, but to their very ends, for the town is small.
-pub fn whole() -> Config {
-    Config { trim_ends_m: 0.0, ..Config::default() }
-}
 
 /// A drive as the uploads the vehicle's recorder makes of it.
 pub fn uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, whole())
+    uploads_as(drive, to_the_ends())
 }
 
 /// The same as scans.
 pub fn scan_uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, Config { form: Form::Scans, ..whole() })
+    uploads_as(drive, Config { form: Form::Scans, ..to_the_ends() })
 }
 
 /// The same, recorded in some other way.
 pub fn uploads_as(drive: &Drive, config: Config) -> Vec<Upload> {
-    let mut recorder =
-        Recorder::new(config, &drive.vehicle, drive.mounts.clone()).expect("the vehicle has a name");
-    let mut uploads = Vec::new();
-    for event in replay(drive) {
-        match event {
-            Event::Odometry(time_us, pose) => {
-                recorder.push_odometry(time_us, pose).expect("odometry is in order");
-            }
-            Event::Scan(scan) => recorder.push_scan(scan.clone()).expect("a simulated scan is sound"),
-            Event::Reference(pose) => uploads.extend(recorder.push_pose(*pose).expect("poses are in order")),
-            Event::Truth(_) => {}
-        }
-    }
-    uploads.extend(recorder.finish());
-    assert!(!uploads.is_empty(), "the drive of `{}` makes no upload", drive.vehicle);
-    uploads
+    let recorded = record(drive, config).unwrap_or_else(|error| panic!("{error:#}"));
+    assert!(!recorded.uploads.is_empty(), "the drive of `{}` makes no upload", drive.vehicle);
+    recorded.uploads
 }
 
 /// Sends one upload.
@@ -68,24 +48,12 @@ pub async fn contribute(service: &Service, drive: &Drive) -> Vec<UploadResponse>
         answers
             .push(answer.unwrap_or_else(|status| panic!("upload {} was refused: {status:?}", upload.id())));
     }
-    settled(service).await;
+    folded(service).await;
     answers
 }
 
-/// Waits until the map shows everything that was acknowledged, as long as it goes on; returns its epoch.
-pub async fn settled(service: &Service) -> u64 {
-    let mut before = 0;
-    loop {
-        let (epoch, whole) = until("the map shows more uploads", Duration::from_mins(1), async || {
-            let map = http::get(&format!("{}/api/v1/map", service.http)).json();
-            let epoch = map["epoch"].as_u64()?;
-            let whole = map["state"] == "serving" && map["epoch"] == map["journaled"];
-            (whole || epoch > before).then_some((epoch, whole))
-        })
-        .await;
-        if whole {
-            return epoch;
-        }
-        before = epoch;
-    }
+/// Waits until the map shows everything that was acknowledged; returns its epoch.
+pub async fn folded(service: &Service) -> u64 {
+    let map = service.process().folded().await.unwrap_or_else(|error| panic!("{error:#}\n{}", service.log()));
+    map["epoch"].as_u64().expect("a served map has an epoch")
 }

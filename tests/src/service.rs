@@ -1,10 +1,11 @@
 //! The service as a process: started, killed, started again, ended, its log kept.
 
-use std::fs::{self, File};
+use std::fs;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
+use echofix_harness::process::{Launch, ServiceProcess};
 use tempfile::TempDir;
 
 use crate::{binary, http, until_blocking};
@@ -21,7 +22,7 @@ const ENDS_WITHIN: Duration = Duration::from_secs(12);
 pub struct Service {
     folder: TempDir,
     setup: Setup,
-    process: Child,
+    process: ServiceProcess,
     watchdog: Watchdog,
     /// `http://host:port` for vehicles.
     pub grpc: String,
@@ -71,7 +72,6 @@ impl Service {
     pub fn kill(&mut self) {
         self.watchdog.dismiss();
         self.process.kill().expect("the service can be killed");
-        self.process.wait().expect("the service is ours to wait for");
     }
 
     /// Starts a killed or ended service again on the same data and waits until it is ready. It
@@ -91,24 +91,29 @@ impl Service {
 
     /// Asks the process to end (SIGTERM), without waiting.
     pub fn ask_to_end(&self) {
-        signal(&self.process, "TERM");
+        signal(self.process.pid(), "TERM");
     }
 
     /// Waits for the end of a process that was asked to end.
     pub fn ended(&mut self) -> ExitStatus {
         until_blocking("the service has ended", ENDS_WITHIN, || {
-            self.process.try_wait().expect("the service is ours to wait for")
+            self.process.ended().expect("the service is ours to wait for")
         })
     }
 
     /// Whether the process has ended.
     pub fn has_ended(&mut self) -> bool {
-        self.process.try_wait().expect("the service is ours to wait for").is_some()
+        self.process.ended().expect("the service is ours to wait for").is_some()
     }
 
     /// The number of the process.
     pub fn pid(&self) -> u32 {
-        self.process.id()
+        self.process.pid()
+    }
+
+    /// The process.
+    pub fn process(&self) -> &ServiceProcess {
+        &self.process
     }
 
     /// The data directory.
@@ -125,7 +130,7 @@ impl Service {
 
     /// What it has logged so far, over all its starts.
     pub fn log(&self) -> String {
-        fs::read_to_string(log_file(&self.folder)).unwrap_or_default()
+        self.process.log()
     }
 
     /// Waits until a launched service is ready or has ended; says which.
@@ -134,10 +139,8 @@ impl Service {
             if self.has_ended() {
                 return Some(false);
             }
-            let text = fs::read_to_string(address_file(&self.folder)).ok()?;
-            let bound = serde_json::from_str::<serde_json::Value>(&text).ok()?;
-            let http = format!("http://{}", bound["http"].as_str()?);
-            http::try_get(&format!("{http}/readyz")).filter(|answer| answer.status == 200).map(|_| true)
+            let ready = self.process.listens() && ready(&self.process.http);
+            ready.then_some(true)
         }) && {
             self.wait_until_ready();
             true
@@ -146,17 +149,14 @@ impl Service {
 
     /// Waits until a launched service is ready.
     pub fn wait_until_ready(&mut self) {
-        let bound = until_blocking("the service tells its addresses", READY_WITHIN, || {
+        until_blocking("the service listens", READY_WITHIN, || {
             assert!(!self.has_ended(), "the service did not start:\n{}", self.log());
-            let text = fs::read_to_string(address_file(&self.folder)).ok()?;
-            serde_json::from_str::<serde_json::Value>(&text).ok()
+            self.process.listens().then_some(())
         });
-        let address =
-            |port: &str| format!("http://{}", bound[port].as_str().expect("an address is a string"));
-        (self.grpc, self.http) = (address("grpc"), address("http"));
+        (self.grpc, self.http) = (self.process.grpc.clone(), self.process.http.clone());
         until_blocking("the service is ready", READY_WITHIN, || {
             assert!(!self.has_ended(), "the service ended while it started:\n{}", self.log());
-            http::try_get(&format!("{}/readyz", self.http)).filter(|answer| answer.status == 200)
+            ready(&self.http).then_some(())
         });
     }
 }
@@ -164,9 +164,8 @@ impl Service {
 impl Drop for Service {
     fn drop(&mut self) {
         self.watchdog.dismiss();
-        // It may have ended already.
+        // It may have ended already; its log is whole once it has.
         let _ = self.process.kill();
-        let _ = self.process.wait();
         if std::thread::panicking() {
             eprintln!("--- the service's log ---\n{}--- end of the log ---", self.log());
         }
@@ -177,38 +176,28 @@ fn data_dir(folder: &TempDir, setup: &Setup) -> PathBuf {
     setup.data_dir.clone().unwrap_or_else(|| folder.path().join("data"))
 }
 
-fn launch(folder: &TempDir, setup: &Setup) -> Child {
-    let log = File::options().create(true).append(true).open(log_file(folder)).expect("a log can be written");
-    // The addresses of the last start are not this one's.
-    let _ = fs::remove_file(address_file(folder));
-    let mut command = Command::new(binary::echofix());
-    command.arg("serve").arg("--data-dir").arg(data_dir(folder, setup));
-    command.arg("--addr-file").arg(address_file(folder));
+fn launch(folder: &TempDir, setup: &Setup) -> ServiceProcess {
     // One vehicle is enough to make a map, unless a test says otherwise.
-    for setting in ["grpc.listen=127.0.0.1:0", "http.listen=127.0.0.1:0", "mapping.publish_contributors=1"] {
-        command.args(["--set", setting]);
-    }
-    for setting in &setup.settings {
-        command.args(["--set", setting]);
-    }
-    if let Some(fault) = setup.fault {
-        command.env("ECHOFIX_FAULT", fault);
-    }
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).spawn().expect("echofix can be run")
+    let mut settings = vec!["mapping.publish_contributors=1".to_owned()];
+    settings.extend(setup.settings.iter().cloned());
+    let launch = Launch {
+        program: binary::echofix(),
+        folder: folder.path(),
+        data_dir: &data_dir(folder, setup),
+        settings,
+        variables: setup.fault.map(|fault| ("ECHOFIX_FAULT", fault)).into_iter().collect(),
+    };
+    ServiceProcess::launch(&launch).expect("echofix can be run")
 }
 
-fn address_file(folder: &TempDir) -> PathBuf {
-    folder.path().join("addresses.json")
-}
-
-fn log_file(folder: &TempDir) -> PathBuf {
-    folder.path().join("service.log")
+fn ready(http: &str) -> bool {
+    http::try_get(&format!("{http}/readyz")).is_some_and(|answer| answer.status == 200)
 }
 
 /// Sends a signal to a process that is ours and not yet waited for.
-fn signal(process: &Child, name: &str) {
-    let (mut kill, id) = (Command::new("sh"), process.id().to_string());
-    let sent = kill.args(["-c", "kill -s \"$0\" \"$1\"", name, &id]).status();
+fn signal(process: u32, name: &str) {
+    let mut kill = Command::new("sh");
+    let sent = kill.args(["-c", "kill -s \"$0\" \"$1\"", name, &process.to_string()]).status();
     assert!(sent.expect("sh can be run").success(), "SIG{name} could not be sent");
 }
 
@@ -217,9 +206,9 @@ fn signal(process: &Child, name: &str) {
 struct Watchdog(Child);
 
 impl Watchdog {
-    fn over(process: &Child, folder: &TempDir) -> Self {
+    fn over(process: &ServiceProcess, folder: &TempDir) -> Self {
         let mut dog = Command::new("sh");
-        dog.args(["-c", "read -r _; kill -s KILL \"$0\"; rm -rf \"$1\""]).arg(process.id().to_string());
+        dog.args(["-c", "read -r _; kill -s KILL \"$0\"; rm -rf \"$1\""]).arg(process.pid().to_string());
         dog.arg(folder.path()).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         Self(dog.spawn().expect("sh can be run"))
     }

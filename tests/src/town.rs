@@ -2,11 +2,7 @@
 
 use echofix_core::drive::Drive;
 use echofix_core::geo::LatLon;
-use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
-
-const DAY_US: i64 = 86_400_000_000;
-/// Day 0 of the town: 2026-01-01.
-const FIRST_DAY: i64 = 20_454;
+use echofix_sim::{City, CityParams, Route};
 
 /// The seed of everything random: the same each time, unless `ECHOFIX_TEST_SEED` says otherwise. It is
 /// printed, which shows when the test fails.
@@ -40,8 +36,6 @@ pub fn wander(city: &City, day: u32, vehicle: &str, seed: u64, length_m: f64) ->
 
 /// A drive along a route.
 pub fn drive(city: &City, day: u32, vehicle: &str, seed: u64, route: &Route) -> Drive {
-    // Nine in the morning.
-    let start_time_us = (FIRST_DAY + i64::from(day)) * DAY_US + 9 * 3_600_000_000;
-    let params = DriveParams { vehicle: vehicle.to_owned(), seed, start_time_us, ..DriveParams::default() };
-    simulate(&city.on_day(day), route, &params).expect("the drive's parameters are in range")
+    let drive = echofix_harness::town::drive(city, day, route, vehicle.to_owned(), seed);
+    drive.expect("the drive's parameters are in range")
 }

@@ -4,7 +4,7 @@ use echofix_core::drive::Drive;
 use echofix_proto::v1::UploadResponse;
 use echofix_sim::City;
 
-use crate::asking::{Case, Sigma, cases};
+use crate::asking::{TruthRequest, requests};
 use crate::mapping::contribute;
 use crate::service::Service;
 use crate::town;
@@ -51,7 +51,7 @@ impl World {
     }
 
     /// The questions of such a drive, one every so many seconds, from priors as rough as the paper's.
-    pub fn questions(&self, length_m: f64, every_s: f64) -> Vec<Case> {
-        cases(&self.visit(length_m), every_s, Sigma::PAPER, self.seed)
+    pub fn questions(&self, length_m: f64, every_s: f64) -> Vec<TruthRequest> {
+        requests(&self.visit(length_m), every_s, self.seed)
     }
 }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use echofix_core::evidence::{CellHits, Contribution, Share};
 use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::UploadRequest;
-use echofix_tests::mapping::{send, settled};
+use echofix_tests::mapping::{folded, send};
 use echofix_tests::service::Service;
 use echofix_tests::{command, crowd, grpc, http, town, until};
 use rand::seq::index::sample;
@@ -130,7 +130,7 @@ struct Sample {
 
 impl Sample {
     async fn of(service: &Service, uploads: u32) -> Self {
-        settled(service).await;
+        folded(service).await;
         let journal = disk_use(&service.data_dir().join("journal"));
         let tiles = disk_use(&service.data_dir()) - journal;
         let map = http::get(&format!("{}/api/v1/map", service.http)).json();
@@ -177,7 +177,7 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
     );
     let compact = ["map", "compact", "--before", "2149-01-01", "--http", &service.http, "--json"];
     assert!(command::echofix(compact).json()["epoch"].is_u64());
-    settled(&service).await;
+    folded(&service).await;
     until("the old tiles are gone", Duration::from_secs(30), async || {
         let names =
             fs::read_dir(service.data_dir()).expect("it is there").flatten().map(|entry| entry.file_name());

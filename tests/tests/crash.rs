@@ -61,7 +61,7 @@ async fn no_kill_loses_an_acknowledged_upload() {
     let (service, uploads, known, lost) = killed(Setup::default(), kills(), false).await;
     eprintln!("{} kills, {} uploads acknowledged, {} lost", kills(), known.answers.len(), lost.len());
     assert_eq!(lost, [0; 0], "of {} acknowledged uploads these are lost", known.answers.len());
-    let crashed = (mapping::settled(&service).await, tiles::but_lineage(tiles::all(&service).await));
+    let crashed = (mapping::folded(&service).await, tiles::but_lineage(tiles::all(&service).await));
     assert_eq!(crashed.0 as usize, known.answers.len(), "a record for each upload");
     assert!(crashed == undisturbed(&uploads, &known).await, "a crash leaves no trace in the map");
 }
@@ -75,7 +75,7 @@ async fn undisturbed(uploads: &Uploads, known: &Acknowledgements) -> (u64, Tiles
     for (_, number) in numbers {
         mapping::send(&mut client, &uploads.parts(number)).await.expect("the upload is acknowledged");
     }
-    (mapping::settled(&service).await, tiles::but_lineage(tiles::all(&service).await))
+    (mapping::folded(&service).await, tiles::but_lineage(tiles::all(&service).await))
 }
 
 /// Shows that the test above would notice: a service that acknowledges before it writes is caught.

@@ -9,9 +9,9 @@ use echofix_core::drive::Drive;
 use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
 use echofix_sim::City;
-use echofix_tests::asking::{Sigma, Truth, cases};
+use echofix_tests::asking;
 use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turned, upload};
-use echofix_tests::mapping::{contribute, send, settled, uploads};
+use echofix_tests::mapping::{contribute, folded, send, uploads};
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, Tiles};
 use echofix_tests::{grpc, http, town, until_blocking};
@@ -36,7 +36,7 @@ async fn crowd(service: &Service, city: &City, vehicles: &[&str]) {
 
 /// Where a visitor of the street is, or why nobody can tell, question by question.
 async fn visit(service: &Service, city: &City) -> Vec<String> {
-    let questions = cases(&street(city, 20, "visitor"), 8.0, Sigma::PAPER, 5);
+    let questions = asking::requests(&street(city, 20, "visitor"), 8.0, 5);
     assert!(!questions.is_empty(), "the visitor asks");
     let mut client = grpc::localizing(service).await;
     let mut told = Vec::new();
@@ -85,7 +85,7 @@ async fn what_lies_beside_the_map_is_kept_out() {
     assert_eq!(quarantine(&service)["quarantined"], 0, "honest ones count");
     let before = tiles::all(&service).await;
 
-    let epoch = settled(&service).await;
+    let epoch = folded(&service).await;
     let sent = contribute(&service, &shifted(street(&city, 5, "shifty"), 2.0, 0.0)).await.len();
     let kept_out = kept_out_after(&service, epoch);
     assert_eq!(kept_out.len(), sent, "{kept_out:#?}");
@@ -97,7 +97,7 @@ async fn what_lies_beside_the_map_is_kept_out() {
     }
     assert!(tiles::all(&service).await == before, "not a byte changes");
 
-    let epoch = settled(&service).await;
+    let epoch = folded(&service).await;
     let sent = contribute(&service, &turned(street(&city, 6, "dizzy"), 3_f64.to_radians())).await.len();
     let kept_out = kept_out_after(&service, epoch);
     assert_eq!(kept_out.len(), sent, "{kept_out:#?}");
@@ -105,7 +105,7 @@ async fn what_lies_beside_the_map_is_kept_out() {
     assert!(rotated > 0, "{kept_out:#?}");
     assert!(tiles::all(&service).await == before, "not a byte changes");
 
-    let epoch = settled(&service).await;
+    let epoch = folded(&service).await;
     contribute(&service, &street(&city, 9, "carla")).await;
     assert_eq!(kept_out_after(&service, epoch), [Value::Null; 0], "an honest one of another day counts");
     assert!(tiles::all(&service).await != before);
@@ -141,7 +141,7 @@ async fn decided(service: &mut Service, kills: u32, rng: &mut ChaCha8Rng) -> Til
         service.launch_again();
     }
     service.wait_until_ready();
-    settled(service).await;
+    folded(service).await;
     tiles::all(service).await
 }
 
@@ -190,8 +190,8 @@ async fn who_is_revoked_has_never_been_there() {
     // And undisturbed, another one.
     revoke(&with, "boris");
     revoke(&without, "boris");
-    settled(&with).await;
-    settled(&without).await;
+    folded(&with).await;
+    folded(&without).await;
     let (one, other) = (tiles::all(&with).await, tiles::all(&without).await);
     assert!(bytes(&one) == bytes(&other) && bytes(&one) != bytes(&killed));
 }
@@ -227,7 +227,7 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
     }
 
     // Across the lane, at several places: where all of them drove.
-    let truth = Truth::of(&drives[0]);
+    let truth = asking::truth(&drives[0]);
     let grid = Grid::of(drives[0].truth[0].at).expect("the town is on the map");
     let first = drives[0].truth[0].time_us;
     let last = drives[0].truth.last().expect("it drove").time_us;
@@ -246,7 +246,7 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
         let id = Uuid::from_u64_pair(1, number as u64);
         send(&mut client, &upload(id, "mallory", time_us, &wall)).await.expect("a forger keeps to the form");
     }
-    settled(&service).await;
+    folded(&service).await;
     let after = cells(&tiles::all(&service).await);
     let shown = after.keys().filter(|cell| phantom.contains(cell) && !before.contains_key(cell));
     let honest_ones =

@@ -3,12 +3,13 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use echofix_core::geo::{Grid, LatLon};
+use echofix_harness::truth::PoseError;
 use echofix_proto::v1::localize_stream_response::Outcome;
 use echofix_proto::v1::{
     Diagnostics, FixStatus, LocalizeRequest, LocalizeResponse, LocalizeStreamRequest, ProtectionLevel,
     Requirement,
 };
-use echofix_tests::asking::{Case, Error, percentile};
+use echofix_tests::asking::{self, TruthRequest, percentile};
 use echofix_tests::grpc;
 use echofix_tests::world::World;
 use tokio::sync::OnceCell;
@@ -18,7 +19,7 @@ use tonic_types::RpcStatusExt as _;
 /// A drive through the mapped town, asked once for all tests.
 struct Visit {
     world: World,
-    cases: Vec<Case>,
+    cases: Vec<TruthRequest>,
     answers: Vec<LocalizeResponse>,
 }
 
@@ -43,7 +44,7 @@ async fn ask(world: &World, request: LocalizeRequest) -> LocalizeResponse {
 }
 
 /// The answers to all questions, in order.
-async fn ask_all(world: &World, cases: &[Case]) -> Vec<LocalizeResponse> {
+async fn ask_all(world: &World, cases: &[TruthRequest]) -> Vec<LocalizeResponse> {
     let client = grpc::localizing(&world.service).await;
     let ask = |request: LocalizeRequest| {
         let mut client = client.clone();
@@ -59,8 +60,8 @@ async fn ask_all(world: &World, cases: &[Case]) -> Vec<LocalizeResponse> {
     answers
 }
 
-fn error(answer: &LocalizeResponse, case: &Case) -> Error {
-    Error::of(&answer.pose.expect("an answer has a pose"), &case.truth)
+fn error(answer: &LocalizeResponse, case: &TruthRequest) -> PoseError {
+    asking::error(&answer.pose.expect("an answer has a pose"), &case.truth)
 }
 
 /// Catches whatever moves or turns the batch against the map: mounts left out, the convergence
@@ -71,8 +72,8 @@ async fn usable_fixes_are_as_accurate_as_the_papers() {
     let Visit { cases, answers, .. } = visit().await;
     assert!(cases.len() >= 30, "{} questions", cases.len());
     let usable: Vec<_> = answers.iter().zip(cases).filter(|(a, _)| a.status() == FixStatus::Usable).collect();
-    let errors: Vec<Error> = usable.iter().map(|(answer, case)| error(answer, case)).collect();
-    let at = |share| percentile(errors.iter().map(Error::horizontal_m), share);
+    let errors: Vec<PoseError> = usable.iter().map(|(answer, case)| error(answer, case)).collect();
+    let at = |share| percentile(errors.iter().map(PoseError::horizontal_m), share);
     let yaw_deg = percentile(errors.iter().map(|e| e.yaw_rad.abs().to_degrees()), 0.95);
     eprintln!(
         "{} of {} usable; error 50 % {:.3} m, 95 % {:.3} m and {yaw_deg:.3} deg, worst {:.3} m",
@@ -266,7 +267,7 @@ async fn a_stream_answers_as_single_calls_do_and_outlives_refusals() {
 }
 
 /// A question that cannot be answered: by turns refused and malformed.
-fn refused(number: u64, case: &Case) -> LocalizeRequest {
+fn refused(number: u64, case: &TruthRequest) -> LocalizeRequest {
     let mut request = case.request.clone();
     if number.is_multiple_of(2) {
         request.prior.as_mut().unwrap().sigma_position_m = 1e3;

@@ -9,7 +9,7 @@ use echofix_core::evidence::{CellHits, Contribution, Share, VIEW_BLOCKS};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
-use echofix_tests::mapping::{send, settled};
+use echofix_tests::mapping::{folded, send};
 use echofix_tests::service::Service;
 use echofix_tests::{crowd, grpc, http, tiles, town};
 use rand::{RngExt, SeedableRng};
@@ -188,7 +188,7 @@ impl Run {
             let answer = send(&mut client, &self.parts(number)).await.expect("it is answered");
             self.model.told(number, answer, true);
         }
-        let epoch = settled(&self.service).await;
+        let epoch = folded(&self.service).await;
         assert_eq!(epoch, u64::from(self.model.sent), "a record for each upload");
         let map = http::get(&format!("{}/api/v1/map", self.service.http)).json();
         assert_eq!(map["totals"]["uploads"], self.model.sent, "{map}");

@@ -151,7 +151,7 @@ async fn a_fix_and_an_upload_are_counted_and_told_at_once() {
     for upload in &uploads {
         mapping::send(&mut sender, upload.parts()).await.expect("the upload counts");
     }
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let url = service.http.clone();
     let metrics = || get(&format!("{url}/metrics"));
     let kind = metrics().header("content-type").unwrap().to_owned();
@@ -168,10 +168,10 @@ async fn a_fix_and_an_upload_are_counted_and_told_at_once() {
     let told = events.next("upload");
     assert_eq!((&told["upload_id"], &told["outcome"]), (&answer.upload_id.into(), &"COUNTED".into()));
     assert_eq!(told["detections_counted"], answer.detections_counted);
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
 
     let visit = echofix_tests::town::wander(&city, 3, "visitor", seed, 150.0);
-    let case = echofix_tests::asking::cases(&visit, 1.0, echofix_tests::asking::Sigma::PAPER, seed).remove(3);
+    let case = echofix_tests::asking::requests(&visit, 1.0, seed).remove(3);
     let answer = client.localize(case.request.clone()).await.expect("there is a map").into_inner();
     let told = events.next("fix");
     let word = answer.status().as_str_name().trim_start_matches("FIX_STATUS_").to_owned();

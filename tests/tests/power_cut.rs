@@ -68,7 +68,7 @@ async fn with_cuts(fault: Option<&'static str>) -> Outcome {
         }
         let from = if round + 1 == cuts() { 0 } else { from };
         outcome.lost.extend(known.judge(&uploads, &service, from).await);
-        mapping::settled(&service).await;
+        mapping::folded(&service).await;
         tiles::all(&service).await;
         service.ask_to_end();
         assert!(service.ended().success());

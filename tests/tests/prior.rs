@@ -4,9 +4,10 @@ use std::f64::consts::TAU;
 use std::time::Duration;
 
 use echofix_core::geo::Grid;
+use echofix_harness::prior::PriorSigma;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::{FixStatus, GeodeticPose, LocalizeRequest, LocalizeResponse, Prior};
-use echofix_tests::asking::{Case, Error, Sigma};
+use echofix_tests::asking::{TruthRequest, error};
 use echofix_tests::service::Service;
 use echofix_tests::world::World;
 use echofix_tests::{grpc, until};
@@ -28,7 +29,7 @@ async fn answer(client: &mut Client, request: LocalizeRequest) -> LocalizeRespon
 }
 
 /// The question from a prior that is metres east and north and radians off the truth.
-fn off(case: &Case, [east_m, north_m, yaw_rad]: [f64; 3], sigma: Sigma) -> LocalizeRequest {
+fn off(case: &TruthRequest, [east_m, north_m, yaw_rad]: [f64; 3], sigma: PriorSigma) -> LocalizeRequest {
     let grid = Grid::of(case.truth.at).expect("the town is on the map");
     let mut pose = grid.pose_from_geodetic(case.truth.at, case.truth.yaw_rad).expect("on the map");
     (pose.x_m, pose.y_m, pose.yaw_rad) = (pose.x_m + east_m, pose.y_m + north_m, pose.yaw_rad + yaw_rad);
@@ -38,8 +39,8 @@ fn off(case: &Case, [east_m, north_m, yaw_rad]: [f64; 3], sigma: Sigma) -> Local
 }
 
 /// The question from another prior.
-fn from(request: &LocalizeRequest, pose: GeodeticPose, sigma: Sigma) -> LocalizeRequest {
-    let Sigma { position_m: sigma_position_m, yaw_rad: sigma_yaw_rad } = sigma;
+fn from(request: &LocalizeRequest, pose: GeodeticPose, sigma: PriorSigma) -> LocalizeRequest {
+    let PriorSigma { position_m: sigma_position_m, yaw_rad: sigma_yaw_rad } = sigma;
     let prior = Prior { pose: Some(pose), sigma_position_m, sigma_yaw_rad, ..Prior::default() };
     LocalizeRequest { prior: Some(prior), ..request.clone() }
 }
@@ -71,12 +72,12 @@ fn searched(answer: &LocalizeResponse) -> [f64; 2] {
 
 /// A prior beyond all it says of itself: more than 20 m off, in a direction of its own for each question,
 /// the heading turned far.
-fn astray(cases: &[Case]) -> Vec<LocalizeRequest> {
+fn astray(cases: &[TruthRequest]) -> Vec<LocalizeRequest> {
     let priors = cases.iter().zip(0_u32..).map(|(case, number)| {
         let number = f64::from(number);
         let (s, c) = (number * 2.4).sin_cos();
         let away_m = 20.0 + number % 6.0;
-        off(case, [away_m * c, away_m * s, 1.0 + (number * 0.7) % (TAU - 2.0)], Sigma::PAPER)
+        off(case, [away_m * c, away_m * s, 1.0 + (number * 0.7) % (TAU - 2.0)], PriorSigma::PAPER)
     });
     priors.collect()
 }
@@ -92,7 +93,7 @@ async fn a_vehicle_far_astray_is_told_where_it_is_and_asks_again_from_there() {
     let mut found = 0;
     for (case, request) in cases.iter().zip(astray(&cases)) {
         let told = answer(&mut client, request).await;
-        let error_m = Error::of(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
+        let error_m = error(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
         eprintln!("{:?}, {error_m:.2} m: {}", told.status(), told.status_reason);
         assert_ne!(told.status(), FixStatus::Usable, "{told:?}");
         if told.status() != FixStatus::PriorOutsideSearch {
@@ -104,8 +105,8 @@ async fn a_vehicle_far_astray_is_told_where_it_is_and_asks_again_from_there() {
         assert!(error_m < 1.0, "{error_m}: {told:?}");
         assert!(searched_wide(&told) && !told.protection.as_ref().unwrap().valid, "{told:?}");
         assert!(searched(&told)[0] > 29.9 && searched(&told)[1] > TAU / 2.0 - 0.01, "{told:?}");
-        let again = answer(&mut client, from(&case.request, told.pose.unwrap(), Sigma::PAPER)).await;
-        let error_m = Error::of(again.pose.as_ref().unwrap(), &case.truth).horizontal_m();
+        let again = answer(&mut client, from(&case.request, told.pose.unwrap(), PriorSigma::PAPER)).await;
+        let error_m = error(again.pose.as_ref().unwrap(), &case.truth).horizontal_m();
         assert!(!searched_wide(&again) && error_m < 0.5, "{error_m}: {again:?}");
         found += usize::from(again.status() == FixStatus::Usable);
     }
@@ -177,13 +178,13 @@ async fn the_search_covers_the_longest_axis_of_the_covariance() {
     let cases = world.questions(200.0, 4.0);
     for case in &cases {
         // 3.9 m along the long axis: 2.6 sigmas of it, and more than three of 0.9 m.
-        let request = off(case, [2.76, 2.76, 0.0], Sigma { position_m: 0.9, yaw_rad: 0.05 });
+        let request = off(case, [2.76, 2.76, 0.0], PriorSigma { position_m: 0.9, yaw_rad: 0.05 });
         let narrow = answer(&mut client, request.clone()).await;
         assert_ne!(narrow.status(), FixStatus::Usable, "{narrow:?}");
         let told = answer(&mut client, known_by(&request, &[same, mixed, 0.0, same, 0.0, yaw])).await;
         assert!((searched(&told)[0] - 4.5).abs() < 1e-9, "{told:?}");
         assert!(!told.contains_prior && !searched_wide(&told), "{told:?}");
-        let error_m = Error::of(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
+        let error_m = error(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
         usable += usize::from(told.status() == FixStatus::Usable && error_m < 0.5);
     }
     assert!(usable * 10 >= cases.len() * 9, "{usable} of {}", cases.len());
@@ -195,7 +196,7 @@ async fn the_search_covers_the_longest_axis_of_the_covariance() {
 async fn the_prior_is_in_the_answer_when_asked_for_and_only_then() {
     let world = world().await;
     let mut client = grpc::localizing(&world.service).await;
-    let sigma = Sigma { position_m: 0.3, yaw_rad: 0.01 };
+    let sigma = PriorSigma { position_m: 0.3, yaw_rad: 0.01 };
     let mut combined = 0;
     for case in world.questions(300.0, 4.0) {
         let request = off(&case, [0.25, -0.2, 0.008], sigma);

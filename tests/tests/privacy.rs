@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{UploadHeader, UploadRequest};
-use echofix_tests::mapping::{send, settled, uploads};
+use echofix_tests::mapping::{folded, send, uploads};
 use echofix_tests::service::Service;
 use echofix_tests::{grpc, http, tiles, town};
 use uuid::Uuid;
@@ -75,7 +75,7 @@ async fn nothing_but_the_journal_knows_who_drove_when() {
         }
     }
     send(&mut client, &refused).await.expect_err("it is refused");
-    settled(&service).await;
+    folded(&service).await;
     let revoked = serde_json::json!({ "contributor": CONTRIBUTOR });
     let secrets = Secrets::of(&headers);
 
@@ -88,7 +88,7 @@ async fn nothing_but_the_journal_knows_who_drove_when() {
     assert_eq!(secrets.found_in(&metrics.body), [""; 0], "the metrics");
     // Deciding about somebody must not leave the name behind either.
     assert_eq!(http::post(&format!("{}/api/v1/map/revoke", service.http), &revoked).status, 200);
-    settled(&service).await;
+    folded(&service).await;
     let (journal, mut in_journal) = (service.data_dir().join("journal"), 0);
     for path in files(&service.data_dir()) {
         // sled writes its files anew meanwhile; those of the journal stay.

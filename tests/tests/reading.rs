@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 
 use echofix_core::geo::{LatLon, TileId};
+use echofix_harness::truth::PoseError;
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::{FixStatus, GeodeticBox, GetCoverageRequest, TileList, TileVersion};
-use echofix_tests::asking::{Error, Sigma, cases, percentile};
+use echofix_tests::asking::{error, percentile, requests};
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, EVERYWHERE, Tiles};
 use echofix_tests::world::World;
@@ -76,14 +77,14 @@ async fn only_what_changed_is_sent_to_a_caller_that_has_the_rest() {
     for upload in first {
         mapping::send(&mut sender, upload.parts()).await.expect("the upload counts");
     }
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let area = || Selection::Area(EVERYWHERE);
     let (mut cached, _) = tiles::get(&mut client, area(), Vec::new()).await.unwrap();
     let (none, summary) = tiles::get(&mut client, area(), versions(&cached)).await.unwrap();
     assert!(none.is_empty() && summary.unchanged as usize == cached.len());
 
     let answer = mapping::send(&mut sender, last.parts()).await.expect("the upload counts");
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let (changed, summary) = tiles::get(&mut client, area(), versions(&cached)).await.unwrap();
     let told: BTreeSet<_> = answer.tiles.iter().map(|t| tiles::id(t.tile.as_ref().unwrap())).collect();
     assert_eq!(
@@ -206,7 +207,7 @@ async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
     // Errors by the zone that answered.
     let (mut west, mut east) = (Vec::new(), Vec::new());
     let (mut asked, mut across) = (0, 0);
-    for case in cases(&drive, 3.0, Sigma::PAPER, seed) {
+    for case in requests(&drive, 3.0, seed) {
         let prior = case.request.prior.as_ref().unwrap().pose.unwrap();
         let answer = client.localize(case.request.clone()).await.expect("there is a map").into_inner();
         let errors = match answer.utm.unwrap().epsg {
@@ -217,7 +218,7 @@ async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
         assert_eq!(answer.utm.unwrap().epsg == 32632, prior.longitude_deg >= 6.0, "the prior's zone answers");
         asked += 1;
         if answer.status() == FixStatus::Usable {
-            errors.push(Error::of(&answer.pose.unwrap(), &case.truth));
+            errors.push(error(&answer.pose.unwrap(), &case.truth));
             across += u32::from((prior.longitude_deg >= 6.0) != (case.truth.at.lon_deg >= 6.0));
         }
     }
@@ -228,7 +229,7 @@ async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
     );
     assert!(west.len() >= 5 && east.len() >= 5 && (west.len() + east.len()) * 10 >= asked * 6);
     for errors in [&west, &east] {
-        let error_95 = percentile(errors.iter().map(Error::horizontal_m), 0.95);
+        let error_95 = percentile(errors.iter().map(PoseError::horizontal_m), 0.95);
         let yaw_95 = percentile(errors.iter().map(|e| e.yaw_rad.abs().to_degrees()), 0.95);
         // A forgotten convergence would be 4.7 degrees between the zones here.
         assert!(error_95 < 0.44 && yaw_95 < 0.59, "{error_95:.3} m, {yaw_95:.3} deg");
@@ -247,8 +248,9 @@ async fn a_step_over_the_border_moves_nothing() {
     let mut client = grpc::localizing(&service).await;
     let drive = town::survey(&city, 3, "visitor", seed + 1);
     let mut compared = 0;
-    let near = |case: &echofix_tests::asking::Case| (case.truth.at.lon_deg - 6.0).abs() * 70_000.0 < 3.0;
-    for case in cases(&drive, 0.2, Sigma::PAPER, seed).into_iter().filter(near).take(6) {
+    let near =
+        |case: &echofix_tests::asking::TruthRequest| (case.truth.at.lon_deg - 6.0).abs() * 70_000.0 < 3.0;
+    for case in requests(&drive, 0.2, seed).into_iter().filter(near).take(6) {
         let mut answers = Vec::new();
         for step_deg in [-2e-5, 2e-5] {
             let mut request = case.request.clone();
@@ -266,7 +268,7 @@ async fn a_step_over_the_border_moves_nothing() {
             "{west:?} {east:?}"
         );
         if answers.iter().all(|answer| answer.status() == FixStatus::Usable) {
-            let [west, east] = [0, 1].map(|i: usize| Error::of(&answers[i].pose.unwrap(), &case.truth));
+            let [west, east] = [0, 1].map(|i: usize| error(&answers[i].pose.unwrap(), &case.truth));
             let apart_m = (west.along_m - east.along_m).hypot(west.cross_m - east.cross_m);
             assert!(
                 apart_m < 0.1 && (west.yaw_rad - east.yaw_rad).abs().to_degrees() < 0.2,

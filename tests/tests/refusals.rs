@@ -203,7 +203,7 @@ async fn uploads_that_cannot_be_used_are_refused_and_change_nothing() {
         let status = mapping::send(&mut client, &parts).await.expect_err("the upload is refused");
         assert_eq!(grpc::reason(&status), reason, "{status:?}");
     }
-    assert_eq!(mapping::settled(&service).await, 0);
+    assert_eq!(mapping::folded(&service).await, 0);
     let counted = mapping::send(&mut client, upload.parts()).await.expect("the sound upload counts");
     assert!(!counted.duplicate && counted.epoch == 1, "no refusal has used its id up: {counted:?}");
 }

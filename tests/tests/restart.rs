@@ -28,7 +28,7 @@ async fn send(service: &Service, upload: &Upload) -> UploadResponse {
 
 /// The map, once it shows all uploads, and its epoch.
 async fn map(service: &Service) -> (u64, Tiles) {
-    (mapping::settled(service).await, tiles::all(service).await)
+    (mapping::folded(service).await, tiles::all(service).await)
 }
 
 /// The map of these uploads on a service that never crashes.
@@ -175,7 +175,7 @@ async fn the_same_scans_under_a_new_id_are_a_new_upload() {
     let mut client = grpc::mapping(&service).await;
     let answer = mapping::send(&mut client, &parts).await.expect("it is acknowledged");
     assert!(!answer.duplicate && answer.epoch == 2);
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     // One contributor on one day is one vote, however often it uploads.
     for (_, encoded) in tiles::all(&service).await.values() {
         let tile = echofix_core::tile::decode(encoded).expect("a served tile decodes");

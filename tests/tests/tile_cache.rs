@@ -60,7 +60,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     for upload in first {
         mapping::send(&mut sender, upload.parts()).await.expect("the upload counts");
     }
-    let epoch = mapping::settled(&service).await;
+    let epoch = mapping::folded(&service).await;
     let (dir, tap) = (service.scratch().join("tiles"), Wiretap::on(&service).await);
 
     let cache = open(&dir);
@@ -79,7 +79,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     assert!(unchanged < most && unchanged * 20 < whole, "{unchanged} of {whole} bytes, nothing changed");
 
     let answer = mapping::send(&mut sender, last.parts()).await.expect("the upload counts");
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let changed = sync(&cache, &tap).await;
     assert_eq!(changed.fetched as usize, answer.tiles.len());
     eprintln!("{} tiles changed: {} bytes", changed.fetched, tap.taken());
@@ -102,7 +102,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
 
     let http = ["--http", &service.http, "--json"];
     echofix(["map", "rollback", &epoch.to_string()].iter().chain(&http)).json();
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let back = sync(&cache, &tap).await;
     let served = tiles::all(&service).await;
     let moved = served.iter().filter(|(id, (version, _))| newer.get(id).is_some_and(|(v, _)| v != version));
@@ -113,7 +113,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     assert_eq!(contents(&served), contents(&map), "it is the map before the upload");
 
     echofix(["map", "rollback", "0"].iter().chain(&http)).json();
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let nothing = sync(&cache, &tap).await;
     assert_eq!((nothing.removed as usize, cache.versions().len(), cache.bytes()), (served.len(), 0, 0));
 }
@@ -130,7 +130,7 @@ async fn a_cache_is_right_again_after_a_backup_was_restored() {
         let (id, contribution) = (Uuid::from_u64_pair(1, number), crowd::hits(zone, wall, 2));
         let parts = crowd::upload(id, "mapper", 1_767_225_600_000_000, &contribution);
         mapping::send(&mut grpc::mapping(service).await, &parts).await.expect("the upload counts");
-        mapping::settled(service).await
+        mapping::folded(service).await
     };
     let folder = service.scratch();
     let archive = folder.join("all.tar");
@@ -213,7 +213,7 @@ fn dense(tiles: i32) -> Service {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_tile_of_megabytes_comes_in_pieces() {
     let service = dense(2);
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let map = tiles::all(&service).await;
     let sizes: Vec<usize> = map.values().map(|(_, encoded)| encoded.len()).collect();
     assert!(sizes.len() == 2 && sizes.iter().all(|bytes| *bytes > 3 << 20), "{sizes:?}");
@@ -235,7 +235,7 @@ async fn a_tile_of_megabytes_comes_in_pieces() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_download_goes_on_where_it_was() {
     let service = dense(6);
-    mapping::settled(&service).await;
+    mapping::folded(&service).await;
     let dir = service.scratch().join("tiles");
     let words = ["tiles", "sync", dir.to_str().expect("Unicode"), "--server", &service.grpc, "--json"];
     let mut download = Command::new(binary::echofix())

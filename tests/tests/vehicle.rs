@@ -5,8 +5,10 @@ use echofix_client::Localizer;
 use echofix_client::drivelog::{Event, replay};
 use echofix_client::vehicle::{Config, Fix, Vehicle};
 use echofix_core::drive::{Drive, GeoPose};
+use echofix_harness::prior::PriorSigma;
+use echofix_harness::truth::PoseError;
 use echofix_proto::v1::GeodeticPose;
-use echofix_tests::asking::{Error, Sigma, Truth, percentile};
+use echofix_tests::asking::{self, drawn, percentile};
 use echofix_tests::grpc;
 use echofix_tests::world::World;
 use rand::SeedableRng;
@@ -22,7 +24,7 @@ async fn world() -> &'static World {
 #[derive(Default)]
 struct Trip {
     /// Errors of the position carried to now, ten times a second since the first fix.
-    carried: Vec<Error>,
+    carried: Vec<PoseError>,
     fixes: Vec<Fix>,
     /// Questions without a usable answer.
     without: usize,
@@ -30,7 +32,7 @@ struct Trip {
 
 /// Drives, asking once a second. GNSS gives a pose at the start only, or every second.
 async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bool) -> Trip {
-    let (truth, mut rng) = (Truth::of(drive), ChaCha8Rng::seed_from_u64(seed));
+    let (truth, mut rng) = (asking::truth(drive), ChaCha8Rng::seed_from_u64(seed));
     let mut vehicle = Vehicle::new(Config::default(), drive.mounts.clone());
     let mut trip = Trip::default();
     let begin_us = drive.scans[0].time_us;
@@ -49,7 +51,9 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
         };
         let Some(true_now) = truth.at(now_us) else { continue };
         if vehicle.position().is_none() {
-            vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).expect("GNSS gives a pose");
+            vehicle
+                .push_pose(drawn(&truth, &true_now, PriorSigma::PAPER, &mut rng))
+                .expect("GNSS gives a pose");
         }
         if now_us >= next_look_us {
             next_look_us = now_us + 100_000;
@@ -58,7 +62,9 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
         if now_us >= next_fix_us {
             next_fix_us = now_us + 1_000_000;
             if gnss_goes_on {
-                vehicle.push_pose(truth.off(&true_now, Sigma::PAPER, &mut rng)).expect("GNSS gives a pose");
+                vehicle
+                    .push_pose(drawn(&truth, &true_now, PriorSigma::PAPER, &mut rng))
+                    .expect("GNSS gives a pose");
             }
             match locate(&mut vehicle, localizer).await {
                 Some(fix) => trip.fixes.push(fix),
@@ -70,10 +76,10 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
 }
 
 /// The error of the position believed now, once there was a fix.
-fn carried(vehicle: &Vehicle, truth: &GeoPose) -> Option<Error> {
+fn carried(vehicle: &Vehicle, truth: &GeoPose) -> Option<PoseError> {
     let position = vehicle.position().filter(|position| position.fix_age_s.is_some())?;
     let GeoPose { at, yaw_rad, .. } = position.pose;
-    Some(Error::of(&GeodeticPose { latitude_deg: at.lat_deg, longitude_deg: at.lon_deg, yaw_rad }, truth))
+    Some(asking::error(&GeodeticPose { latitude_deg: at.lat_deg, longitude_deg: at.lon_deg, yaw_rad }, truth))
 }
 
 async fn locate(vehicle: &mut Vehicle, localizer: &Localizer) -> Option<Fix> {
@@ -89,7 +95,7 @@ async fn a_vehicle_that_lives_on_its_own_fixes_knows_where_it_is() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
     let trip = drive(&world.visit(450.0), &localizer, world.seed, false).await;
-    let at = |share| percentile(trip.carried.iter().map(Error::horizontal_m), share);
+    let at = |share| percentile(trip.carried.iter().map(PoseError::horizontal_m), share);
     let Trip { carried, fixes, without } = &trip;
     eprintln!(
         "{} fixes, {without} questions without; carried {} times: 50 % {:.3} m, 95 % {:.3} m, worst {:.3} m",
@@ -110,6 +116,6 @@ async fn gnss_going_on_does_no_harm_to_good_fixes() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
     let trip = drive(&world.visit(200.0), &localizer, world.seed + 1, true).await;
-    let error_95 = percentile(trip.carried.iter().map(Error::horizontal_m), 0.95);
+    let error_95 = percentile(trip.carried.iter().map(PoseError::horizontal_m), 0.95);
     assert!(trip.fixes.len() >= 10 && error_95 < 1.0, "{} fixes, 95 % {error_95:.3} m", trip.fixes.len());
 }

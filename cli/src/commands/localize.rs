@@ -1,0 +1,142 @@
+//! `echofix localize`: a drive log asks the service where it is.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use echofix_client::drivelog;
+use echofix_harness::fix_record::FixRecord;
+use echofix_harness::percentiles::Percentiles;
+use echofix_harness::prior::PriorSigma;
+use echofix_harness::progress;
+use echofix_harness::questions::QuestionPlan;
+use echofix_harness::replay::{ask, patient_localizer};
+use echofix_harness::summary::FixSummary;
+
+use super::ScanRange;
+
+/// Arguments of `echofix localize`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A drive log: an .mcap file or a CSV folder.
+    drive: PathBuf,
+    /// Address of the service's gRPC port.
+    #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
+    server: String,
+    /// Only these scans of the log, counted from 1, like 10-18.
+    #[arg(long)]
+    scans: Option<ScanRange>,
+    /// Seconds between questions; 0 asks at every scan.
+    #[arg(long, default_value_t = 1.0)]
+    every_s: f64,
+    /// Seconds of scans a batch spans.
+    #[arg(long, default_value_t = 5.0)]
+    batch_s: f64,
+    /// Seconds of scans that must have come before the first question.
+    #[arg(long, default_value_t = 5.0)]
+    warm_up_s: f64,
+    /// Random priors a batch, drawn around the truth.
+    #[arg(long, default_value_t = 1)]
+    priors: usize,
+    /// One-sigma error of the priors' position along each axis, metres.
+    #[arg(long, default_value_t = 2.0)]
+    sigma_position_m: f64,
+    /// One-sigma error of the priors' heading, degrees.
+    #[arg(long, default_value_t = 3.0)]
+    sigma_yaw_deg: f64,
+    /// Seed of the priors' errors.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Questions under way at once.
+    #[arg(long, default_value_t = 2)]
+    at_once: usize,
+    /// Write every fix to this CSV file.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When the log cannot be read, the truth is not known, or the service is out of reach.
+pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+    let mut drive =
+        drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
+    if let Some(scans) = &args.scans {
+        scans.apply(&mut drive);
+    }
+    let plan = QuestionPlan {
+        every_s: args.every_s,
+        batch_s: args.batch_s,
+        priors: args.priors,
+        sigma: PriorSigma { position_m: args.sigma_position_m, yaw_rad: args.sigma_yaw_deg.to_radians() },
+        seed: args.seed,
+        warm_up_s: args.warm_up_s,
+    };
+    let localizer = patient_localizer(&args.server)?;
+    let bar = progress::bar("localizing", 0, json);
+    let replay = ask(&drive, &localizer, &plan, args.at_once, &bar).await?;
+    bar.finish_and_clear();
+    if let Some(out) = &args.out {
+        write(out, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
+    }
+    let summary = replay.summary();
+    if json {
+        println!("{}", serde_json::json!({ "summary": summary, "fixes": replay.fixes }));
+    } else {
+        print_fixes(&replay.fixes);
+        print_summary(&summary);
+    }
+    Ok(())
+}
+
+/// Writes fixes into a CSV file.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn write(out: &Path, fixes: &[FixRecord]) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_path(out)?;
+    for fix in fixes {
+        writer.serialize(fix)?;
+    }
+    Ok(writer.flush()?)
+}
+
+/// At most this many fixes are printed; the rest goes to `--out`.
+const PRINTED: usize = 20;
+
+fn print_fixes(fixes: &[FixRecord]) {
+    for fix in fixes.iter().take(PRINTED) {
+        let seconds = fix.time_us as f64 * 1e-6;
+        match (fix.error_m(), fix.error_yaw_deg) {
+            (Some(error), Some(yaw)) => {
+                println!("{seconds:.2}  {:<22} error {error:6.2} m {yaw:6.2} deg", fix.outcome);
+            }
+            _ => println!("{seconds:.2}  {:<22} {}", fix.outcome, fix.detail),
+        }
+    }
+    if fixes.len() > PRINTED {
+        println!("... and {} more; --out FILE.csv keeps them all", fixes.len() - PRINTED);
+    }
+}
+
+/// Prints the figures of a replay.
+pub fn print_summary(summary: &FixSummary) {
+    let outcomes: Vec<_> = summary.outcomes.iter().map(|(word, n)| format!("{word} {n}")).collect();
+    println!("{} questions: {}", summary.asked, outcomes.join(", "));
+    if !summary.not_asked.is_empty() {
+        let reasons: Vec<_> = summary.not_asked.iter().map(|(word, n)| format!("{word} {n}")).collect();
+        println!("not asked: {}", reasons.join(", "));
+    }
+    println!("the vehicle left out: {}", summary.left_out);
+    let row = |name: &str, p: Option<Percentiles>, digits: usize| {
+        if let Some(Percentiles { p50, p95, p99 }) = p {
+            println!("{name:<34} 50 % {p50:8.digits$}   95 % {p95:8.digits$}   99 % {p99:8.digits$}");
+        }
+    };
+    row("error of usable answers, m", summary.error_m, 3);
+    row("heading error of usable ones, deg", summary.error_yaw_deg, 3);
+    row("error of all answers, m", summary.error_all_m, 3);
+    row("heading error of all, deg", summary.error_yaw_all_deg, 3);
+    row("ms on the server", summary.server_ms, 1);
+    row("kB a request", summary.request_kb, 1);
+}

@@ -1,0 +1,65 @@
+//! One file a subcommand.
+
+pub mod demo;
+pub mod import;
+pub mod localize;
+pub mod map;
+mod map_operations;
+pub mod serve;
+pub mod simulate;
+pub mod status;
+pub mod tiles;
+
+use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+use echofix_core::drive::Drive;
+
+/// A range of a log's scans, counted from 1 in order of time: `10-18`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ScanRange(RangeInclusive<usize>);
+
+impl FromStr for ScanRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected =
+            || format!("`{text}` is not a range of scans; write the first and the last, like 10-18");
+        let (first, last) = text.split_once('-').ok_or_else(expected)?;
+        let number = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
+        match (number(first), number(last)) {
+            (Some(first), Some(last)) if first <= last => Ok(Self(first..=last)),
+            _ => Err(expected()),
+        }
+    }
+}
+
+impl ScanRange {
+    /// Keeps only these scans of a drive.
+    pub fn apply(&self, drive: &mut Drive) {
+        let mut number = 0;
+        drive.scans.retain(|_| {
+            number += 1;
+            self.0.contains(&number)
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echofix_core::scan::Scan;
+
+    #[test]
+    fn ranges_count_from_one_and_include_both_ends() {
+        let mut drive = Drive { scans: vec![Scan::default(); 5], ..Drive::default() };
+        for (time_us, scan) in (1..).zip(&mut drive.scans) {
+            scan.time_us = time_us;
+        }
+        "2-3".parse::<ScanRange>().unwrap().apply(&mut drive);
+        assert_eq!(drive.scans.iter().map(|s| s.time_us).collect::<Vec<_>>(), [2, 3]);
+        for text in ["", "5", "0-3", "4-2", "a-b"] {
+            assert!(text.parse::<ScanRange>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! `echofix simulate`: the drive log of a simulated vehicle.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use echofix_client::drivelog;
+use echofix_harness::town;
+use echofix_sim::{City, CityParams, Route};
+
+/// Arguments of `echofix simulate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Where to write the log: a file ending in .mcap, or a folder for CSV.
+    out: PathBuf,
+    /// Seed of the town; the same seed is the same town.
+    #[arg(long, default_value_t = 1)]
+    city: u64,
+    /// Day: parked cars and traffic change from day to day.
+    #[arg(long, default_value_t = 0)]
+    day: u32,
+    /// Seed of the drive: its way, its noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Name of the vehicle.
+    #[arg(long, default_value = "simulated")]
+    vehicle: String,
+    /// Drive this far at random, metres, instead of once through every street.
+    #[arg(long)]
+    wander_m: Option<f64>,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When the town cannot be made or the log cannot be written.
+pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    let city = City::generate(&CityParams { seed: args.city, ..CityParams::default() })?;
+    let route = match args.wander_m {
+        Some(length_m) => Route::wander(&city, args.seed, length_m),
+        None => Route::survey(&city, args.seed),
+    };
+    let drive = town::drive(&city, args.day, &route, args.vehicle.clone(), args.seed)?;
+    drivelog::write(&args.out, &drive).with_context(|| format!("writing {}", args.out.display()))?;
+    super::import::report(&drive, &args.out, json);
+    Ok(())
+}

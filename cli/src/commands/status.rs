@@ -1,0 +1,33 @@
+//! `echofix status`: what a running service holds and whether it is ready.
+
+use echofix_harness::http::get_json;
+
+/// Arguments of `echofix status`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Address of the service's HTTP port.
+    #[arg(long, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
+    http: String,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When the service is out of reach, not ready, or answers nonsense.
+pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    let ready = get_json(&args.http, "/readyz")?;
+    let map = get_json(&args.http, "/api/v1/map")?;
+    if json {
+        println!("{}", serde_json::json!({ "readiness": ready, "map": map }));
+    } else {
+        println!("{}", serde_json::to_string_pretty(&ready)?);
+        println!("{}", serde_json::to_string_pretty(&map)?);
+    }
+    // Scripts and health checks go by the exit code.
+    anyhow::ensure!(
+        ready["ready"] == true,
+        "the service is not ready: {}",
+        ready["reason"].as_str().unwrap_or("no reason given")
+    );
+    Ok(())
+}

@@ -1,0 +1,139 @@
+//! What a drive asks, from priors drawn around the truth.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, bail};
+use echofix_client::drivelog::{Event, replay};
+use echofix_client::vehicle::{Config, NotReady, Question, Vehicle};
+use echofix_core::drive::{Drive, GeoPose};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::prior::PriorSigma;
+use crate::recording::LeftOut;
+use crate::truth::{Truth, as_prior};
+
+/// When to ask, and from which priors.
+#[derive(Debug, Clone)]
+pub struct QuestionPlan {
+    /// Seconds between questions; 0 asks at every scan.
+    pub every_s: f64,
+    /// Seconds of scans a batch spans.
+    pub batch_s: f64,
+    /// Seconds of scans that must have come before the first question.
+    pub warm_up_s: f64,
+    /// Random priors a batch.
+    pub priors: usize,
+    /// Their error.
+    pub sigma: PriorSigma,
+    /// Seed of their errors.
+    pub seed: u64,
+}
+
+impl QuestionPlan {
+    /// Batches of 5 s and one of the paper's priors each.
+    #[must_use]
+    pub fn every(every_s: f64, seed: u64) -> Self {
+        Self { every_s, batch_s: 5.0, warm_up_s: 5.0, priors: 1, sigma: PriorSigma::PAPER, seed }
+    }
+}
+
+/// A question, and the pose that would be the right answer.
+#[derive(Debug, Clone)]
+pub struct TruthQuestion {
+    /// The question.
+    pub question: Question,
+    /// Where the vehicle truly was at its time.
+    pub truth: GeoPose,
+}
+
+/// The questions of a drive.
+pub struct DriveQuestions {
+    /// In order of time, at least one.
+    pub questions: Vec<TruthQuestion>,
+    /// Times at which the vehicle had nothing to ask with, by the reason.
+    pub not_asked: BTreeMap<String, usize>,
+    /// Detections that the vehicle's gates left out.
+    pub left_out: LeftOut,
+    /// Where the vehicle truly was.
+    pub truth: Truth,
+}
+
+impl DriveQuestions {
+    /// Drives the log through a [`Vehicle`] and notes what it would ask as planned, each time from priors drawn around
+    /// the truth.
+    ///
+    /// # Errors
+    /// When the truth is not known, the log does not fit together, or there is nothing to ask with.
+    pub fn of(drive: &Drive, plan: &QuestionPlan) -> anyhow::Result<Self> {
+        let truth = Truth::of(drive)?.with_context(|| {
+            format!(
+                "the drive of `{}` has neither truth nor reference poses to draw priors around",
+                drive.vehicle
+            )
+        })?;
+        let config = Config { window_s: plan.batch_s, ..Config::default() };
+        let mut vehicle = Vehicle::new(config, drive.mounts.clone());
+        let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
+        let mut questions: Vec<TruthQuestion> = Vec::new();
+        let mut not_asked = BTreeMap::new();
+        let mut next_us = drive.scans.first().map_or(0, |s| s.time_us + (plan.warm_up_s * 1e6) as i64);
+        for event in replay(drive) {
+            match event {
+                Event::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
+                Event::Scan(scan) => vehicle.push_scan(scan.clone())?,
+                Event::Reference(_) | Event::Truth(_) => {}
+            }
+            let Event::Odometry(now_us, _) = event else { continue };
+            let Some(true_now) = truth.at(now_us).filter(|_| now_us >= next_us) else { continue };
+            vehicle.forget_position();
+            vehicle.push_pose(true_now)?;
+            match vehicle.question() {
+                Ok(question) => {
+                    let time_us = question.time_us();
+                    if questions.last().is_some_and(|last| last.question.time_us() >= time_us) {
+                        continue; // No newer scan yet.
+                    }
+                    let Some(true_pose) = truth.at(time_us) else { continue };
+                    for _ in 0..plan.priors {
+                        let rough = truth.drawn_around(&true_pose, plan.sigma, &mut rng)?;
+                        let mut question = question.clone();
+                        question.request.prior = Some(as_prior(&rough));
+                        questions.push(TruthQuestion { question, truth: true_pose });
+                    }
+                }
+                Err(reason) => *not_asked.entry(word(&reason).to_owned()).or_default() += 1,
+            }
+            next_us = now_us + (plan.every_s * 1e6) as i64;
+        }
+        if questions.is_empty() {
+            bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}", drive.vehicle);
+        }
+        Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), truth })
+    }
+
+    /// Number of questions, at least one.
+    pub fn count(&self) -> usize {
+        self.questions.len()
+    }
+
+    /// A question, in order of time.
+    pub fn question(&self, index: usize) -> &Question {
+        &self.questions[index].question
+    }
+
+    /// Where the vehicle truly was at the time of a question.
+    pub fn true_pose(&self, index: usize) -> &GeoPose {
+        &self.questions[index].truth
+    }
+}
+
+fn word(reason: &NotReady) -> &'static str {
+    match reason {
+        NotReady::NoOdometry => "no odometry",
+        NotReady::TooSlow { .. } => "too slow",
+        NotReady::NoDetections => "no detections",
+        NotReady::NoPrior => "no prior",
+        NotReady::OffTheMap(_) => "off the map",
+    }
+}

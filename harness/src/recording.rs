@@ -1,0 +1,80 @@
+//! A drive becomes uploads, through the vehicle's own recorder.
+
+use std::fmt;
+
+use anyhow::bail;
+use echofix_client::drivelog::{Event, replay};
+use echofix_client::upload::{Config as RecorderConfig, Recorder, Upload};
+use echofix_core::batch::Dropped;
+use echofix_core::drive::Drive;
+use serde::Serialize;
+
+/// Detections that the vehicle left out, by the reason.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct LeftOut {
+    /// Movers, by their radial speed.
+    pub moving: u64,
+    /// Farther than the maximum range.
+    pub too_far: u64,
+    /// Taken below the minimum speed.
+    pub too_slow: u64,
+    /// Taken from no pose, or from one that is not known well enough.
+    pub without_pose: u64,
+}
+
+impl From<Dropped> for LeftOut {
+    fn from(dropped: Dropped) -> Self {
+        let Dropped { too_slow, too_far, moving, without_pose } = dropped;
+        Self { moving, too_far, too_slow, without_pose }
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { moving, too_far, too_slow, without_pose } = self;
+        write!(
+            f,
+            "{moving} moving, {too_far} too far, {too_slow} taken too slowly, {without_pose} without a good pose"
+        )
+    }
+}
+
+/// How simulated drives are recorded: to their very ends, since nobody lives there.
+#[must_use]
+pub fn to_the_ends() -> RecorderConfig {
+    RecorderConfig { trim_ends_m: 0.0, ..RecorderConfig::default() }
+}
+
+/// The uploads of a drive.
+pub struct RecordedDrive {
+    /// In order of time.
+    pub uploads: Vec<Upload>,
+    /// Detections that are in none of them.
+    pub left_out: LeftOut,
+}
+
+/// Records a drive as its vehicle would.
+///
+/// # Errors
+/// When the drive has no reference poses, or its parts do not fit together.
+pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedDrive> {
+    if drive.reference.is_empty() {
+        bail!(
+            "the drive of `{}` has no reference poses; a map can only be made from known poses",
+            drive.vehicle
+        );
+    }
+    let mut recorder = Recorder::new(config, &drive.vehicle, drive.mounts.clone())?;
+    let mut uploads = Vec::new();
+    for event in replay(drive) {
+        match event {
+            Event::Odometry(time_us, pose) => recorder.push_odometry(time_us, pose)?,
+            Event::Reference(pose) => uploads.extend(recorder.push_pose(*pose)?),
+            Event::Scan(scan) => recorder.push_scan(scan.clone())?,
+            Event::Truth(_) => {}
+        }
+    }
+    let left_out = recorder.dropped().into();
+    uploads.extend(recorder.finish());
+    Ok(RecordedDrive { uploads, left_out })
+}

@@ -1,0 +1,49 @@
+//! `echofix bench`: what a fix costs on this machine.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+
+use super::{Plan, page, run as measure};
+use crate::report;
+
+/// Arguments of `echofix bench`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Seed of the town, the drives and the priors.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// A small town and little of everything: whether it works, rather than what it costs.
+    #[arg(long)]
+    quick: bool,
+    /// Write the figures into this page, between `<!-- bench:begin -->` and `<!-- bench:end -->`.
+    #[arg(long, value_name = "PAGE")]
+    write: Option<PathBuf>,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When a step of the way fails or the answers are not sane.
+pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+    let Args { seed, quick, write } = args;
+    let plan = if quick { Plan::quick(seed) } else { Plan::full(seed) };
+    let folder = tempfile::tempdir().context("making a folder for the map")?;
+    let say = |text: &str| {
+        if !json {
+            eprintln!("{text}");
+        }
+    };
+    let figures = measure(plan, folder.path(), &say).await?;
+    let quick = if quick { " --quick" } else { "" };
+    let page = page(&figures, &format!("echofix bench{quick} --seed {seed}"));
+    if let Some(file) = write {
+        report::write_section(&file, "bench", &page)?;
+    }
+    if json {
+        println!("{}", serde_json::to_string(&figures)?);
+    } else {
+        println!("{page}");
+    }
+    Ok(())
+}

@@ -1,0 +1,204 @@
+//! The same map and requests without sockets: where the time of one request goes.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, anyhow};
+use echofix_core::align::Prior;
+use echofix_core::align::weights::TileWeights;
+use echofix_core::batch::Batch;
+use echofix_core::geo::{Grid, LatLon, TileId};
+use echofix_core::window::Frame;
+use echofix_proto::v1::LocalizeRequest;
+use echofix_server::args::{ServeArgs, key_and_value};
+use echofix_server::config::Config;
+use echofix_server::grpc::{LocalizationApi, decode};
+use echofix_server::locating::Locator;
+use echofix_server::store::{EmbeddedStore, MapStore, Options};
+use prost::Message;
+use serde::Serialize;
+
+use super::case::Case;
+use super::town::{TRUSTING, Town};
+use echofix_harness::percentiles::Percentiles;
+use echofix_harness::questions::DriveQuestions;
+
+/// Questions that engines and steps are timed on.
+const TIMED: usize = 8;
+
+/// The step that asks the engine.
+pub(super) const ALIGNED: &str = "aligned";
+
+/// Milliseconds of one request's steps, on one thread.
+#[derive(Debug, Clone, Serialize)]
+pub struct Inside {
+    /// In order, with what they are.
+    pub steps: Vec<(&'static str, Percentiles)>,
+    /// All of it.
+    pub total_ms: Percentiles,
+}
+
+impl Inside {
+    /// A step by its name.
+    pub(super) fn step(&self, name: &str) -> Option<Percentiles> {
+        self.steps.iter().find(|(step, _)| *step == name).map(|(_, ms)| *ms)
+    }
+}
+
+/// The service's map and parts, in this process.
+pub(super) struct Scene {
+    store: Arc<dyn MapStore>,
+    config: Config,
+    locator: Arc<Locator>,
+    api: LocalizationApi,
+    requests: Vec<LocalizeRequest>,
+}
+
+impl Scene {
+    /// Opens the map that lies in a folder; no service may run on it.
+    ///
+    /// # Errors
+    /// When the map does not open.
+    pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
+        // As the service was told: under another policy the map would be folded anew.
+        let settings = vec![key_and_value(TRUSTING).map_err(|why| anyhow!(why))?];
+        let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
+        let options = Options {
+            data_dir: folder.join("data"),
+            cache_bytes: config.store.cache_mib << 20,
+            segment_bytes: config.store.segment_mib << 20,
+            policy: config.mapping.policy(),
+        };
+        let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
+        let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));
+        let api = LocalizationApi::new(Arc::clone(&locator), Arc::default(), Arc::default());
+        Ok(Self { store, config, locator, api, requests: timed_of(&town.recording) })
+    }
+
+    /// The requests that are timed.
+    pub(super) fn requests(&self) -> &[LocalizeRequest] {
+        &self.requests
+    }
+
+    /// Half width of the search for vehicles that are lost, metres.
+    pub(super) fn wide_search_m(&self) -> f64 {
+        self.config.locating.wide_search_m
+    }
+
+    /// Times the steps of every request, so many times.
+    ///
+    /// # Errors
+    /// When a request is refused.
+    pub(super) async fn profile(
+        &self,
+        requests: &[LocalizeRequest],
+        repetitions: usize,
+    ) -> anyhow::Result<Inside> {
+        const STEPS: [&str; 7] = [
+            "protobuf to columns",
+            "columns checked",
+            "scans organised",
+            "window from the cache",
+            ALIGNED,
+            "answer, metrics, feed",
+            "answer to protobuf",
+        ];
+        let mut times = Vec::new();
+        for request in requests {
+            let bytes = request.encode_to_vec();
+            // The first time fills the cache.
+            self.steps(&bytes).await?;
+            for _ in 0..repetitions {
+                times.push(self.steps(&bytes).await?);
+            }
+        }
+        let percentiles = |of: &dyn Fn(&[f64; 7]) -> f64| {
+            Percentiles::of(times.iter().map(of)).context("there is nothing to time")
+        };
+        let steps = STEPS.iter().enumerate().map(|(i, step)| Ok((*step, percentiles(&|times| times[i])?)));
+        let steps = steps.collect::<anyhow::Result<_>>()?;
+        Ok(Inside { steps, total_ms: percentiles(&|times| times.iter().sum())? })
+    }
+
+    /// Milliseconds of each step of one request.
+    async fn steps(&self, bytes: &[u8]) -> anyhow::Result<[f64; 7]> {
+        let (decoded_ms, request) = timed(|| LocalizeRequest::decode(bytes));
+        let request = request?;
+        let batch = request.batch.clone();
+        let (checked_ms, batch) = timed(|| decode::batch(batch, "batch"));
+        let (organised_ms, batch) = timed(|| self.organised(&batch?));
+        batch?;
+        let admitted = self.locator.admit().await?;
+        let (work_ms, answer) = timed(|| self.api.work(request, admitted));
+        let answer = answer.map_err(|status| anyhow!("a request was refused: {}", status.message()))?;
+        let diagnostics = answer.diagnostics.unwrap_or_default();
+        let (encoded_ms, _) = timed(|| answer.encode_to_vec());
+        let (window_ms, align_ms) = (diagnostics.window_ms, diagnostics.align_ms);
+        let rest_ms = work_ms - checked_ms - organised_ms - window_ms - align_ms;
+        Ok([decoded_ms, checked_ms, organised_ms, window_ms, align_ms, rest_ms.max(0.0), encoded_ms])
+    }
+
+    fn organised(&self, batch: &decode::Batch) -> anyhow::Result<Batch> {
+        let decode::Batch { reference_time_us, mounts, scans, odometry } = batch;
+        let gate = self.config.locating.gate();
+        Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
+    }
+
+    /// What the engines are timed on.
+    ///
+    /// # Errors
+    /// When a request is malformed or the map cannot be read.
+    pub(super) fn cases(&self) -> anyhow::Result<Vec<Case>> {
+        self.requests.iter().map(|request| self.case(request)).collect()
+    }
+
+    /// A request as the engines see it.
+    ///
+    /// # Errors
+    /// When the request is malformed or the map cannot be read.
+    pub(super) fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
+        let batch = self.organised(&decode::batch(request.batch.clone(), "batch")?)?;
+        let believed = request.prior.clone().unwrap_or_default();
+        let pose = believed.pose.unwrap_or_default();
+        let at = LatLon { lat_deg: pose.latitude_deg, lon_deg: pose.longitude_deg };
+        let (grid, search) = (Grid::of(at)?, self.config.locating.search());
+        let prior = Prior {
+            pose: grid.pose_from_geodetic(at, pose.yaw_rad)?,
+            sigma_position_m: believed.sigma_position_m,
+            sigma_yaw_rad: believed.sigma_yaw_rad,
+            scale: grid.scale_factor(at)?,
+        };
+        let reach_m = search.sigmas * prior.sigma_position_m;
+        let frame = Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
+        let mut stored = BTreeMap::new();
+        for id in frame.tiles() {
+            stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));
+        }
+        let weighed = |id: &TileId| Arc::new(TileWeights::new(*id, |at| stored.get(&at).map(|t| &**t)));
+        let tiles = stored.keys().map(weighed).collect();
+        Ok(Case { frame, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
+    }
+}
+
+/// The requests of a recording that are timed.
+pub(super) fn timed_of(recording: &DriveQuestions) -> Vec<LocalizeRequest> {
+    let asked = (0..recording.count()).step_by(recording.count().div_ceil(TIMED));
+    asked.map(|index| recording.question(index).request.clone()).collect()
+}
+
+/// Detections of the median request.
+pub(super) fn detections(requests: &[LocalizeRequest]) -> usize {
+    let scans = |request: &LocalizeRequest| Some(request.batch.as_ref()?.scans.as_ref()?.range_m.len());
+    let mut counts: Vec<_> = requests.iter().filter_map(scans).collect();
+    counts.sort_unstable();
+    counts.get(counts.len() / 2).copied().unwrap_or_default()
+}
+
+/// Milliseconds that some work takes, and what it gives.
+pub(super) fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
+    let from = Instant::now();
+    let done = work();
+    (from.elapsed().as_secs_f64() * 1e3, done)
+}

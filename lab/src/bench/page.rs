@@ -1,0 +1,181 @@
+//! The figures as a page.
+
+use std::fmt::Write;
+
+use super::cold::Cold;
+use super::engines::Engine;
+use super::inside::{ALIGNED, Inside};
+use super::lengths::Length;
+use super::load::Load;
+use super::lost::Lost;
+use super::sizes::Size;
+use super::town::Uploads;
+use super::{Figures, Plan};
+use echofix_harness::percentiles::Percentiles;
+
+/// The figures in Markdown; `command` is how they were made.
+pub fn page(figures: &Figures, command: &str) -> String {
+    let Figures { plan, machine, loads, refused, cold, inside, engines, .. } = figures;
+    let Plan { seed, contributors, questions, load_s, .. } = plan;
+    let mut page = format!(
+        "`{command}`, on {} cores of an {}, {:.0} GiB; other work on the machine raises every time, so compare within \
+         one run. Town seed {seed}, {:.1} km of streets mapped by {contributors} vehicle(s); {questions} questions at most, one a \
+         second of a drive three days later, 5 s batches (the median request has {} detections), priors of sigma 2 m and \
+         3 deg; {load_s:.0} s of load a row.\n",
+        machine.cores, machine.processor, machine.memory_gib, figures.street_km, figures.detections,
+    );
+    page += &under_load(loads, refused);
+    page += &steps(inside, loads);
+    page += &by_engine(engines);
+    page += &by_size(&figures.sizes, plan);
+    page += &by_length(&figures.lengths);
+    page += &of_lost(&figures.lost);
+    page += &street(cold);
+    page += &of_uploads(&figures.uploads);
+    if let Some(Percentiles { p50, p95, p99 }) = figures.error_m {
+        let usable = figures.usable_share * 100.0;
+        let line = format!(
+            "\nThe answers under load erred by {p50:.2} / {p95:.2} / {p99:.2} m (50 / 95 / 99 %), {usable:.0} % were usable.\n"
+        );
+        page += &line;
+    }
+    page
+}
+
+/// A table's head.
+fn head(title: &str, columns: &[&str]) -> String {
+    let columns_md: String = columns.iter().fold(String::new(), |line, column| line + " | " + column);
+    format!("\n### {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
+}
+
+fn under_load(loads: &[Load], refused: &Load) -> String {
+    let columns = [
+        "compute threads",
+        "clients",
+        "fixes/s",
+        "fixes/s of a core of the service",
+        "CPU ms a fix, service",
+        "CPU ms a fix, clients",
+        "latency ms, 50 / 99 %",
+        "kB, request / answer",
+    ];
+    let mut table = head("The service under load", &columns);
+    let rows = loads.iter().map(|load| (load.threads.to_string(), load));
+    for (name, load) in rows.chain([(format!("{}, not aligned", refused.threads), refused)]) {
+        let latency = load.latency_ms.map_or(String::new(), |ms| format!("{:.1} / {:.1}", ms.p50, ms.p99));
+        let _ = writeln!(
+            table,
+            "| {name} | {} | {:.1} | {} | {} | {} | {latency} | {:.1} / {:.2} |",
+            load.clients,
+            load.per_second(),
+            or_unknown(load.per_core_second(), 0),
+            or_unknown(load.service_ms(), 2),
+            or_unknown(load.clients_ms(), 2),
+            load.request_kb,
+            load.answer_kb
+        );
+    }
+    table
+        + "\nThe service is a process of its own on the same cores as its clients, which ask over loopback gRPC, each again as \
+           soon as it is answered. \"Not aligned\": the same requests, refused once they are organised.\n"
+}
+
+fn or_unknown(value: Option<f64>, digits: usize) -> String {
+    value.map_or("unknown".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+fn steps(inside: &Inside, loads: &[Load]) -> String {
+    let mut table =
+        head("Where the time of a request goes", &["step, in process on one thread", "ms, 50 %", "99 %"]);
+    for (step, Percentiles { p50, p99, .. }) in &inside.steps {
+        let _ = writeln!(table, "| {step} | {p50:.3} | {p99:.3} |");
+    }
+    let Percentiles { p50, p99, .. } = inside.total_ms;
+    let _ = writeln!(table, "| all | {p50:.3} | {p99:.3} |");
+    if let Some(whole) = loads.first().and_then(Load::service_ms) {
+        let _ =
+            writeln!(table, "| a fix of the whole service, mean: sockets and threads, too | {whole:.3} | |");
+    }
+    table
+}
+
+fn by_engine(engines: &[Engine]) -> String {
+    let columns = ["engine", "ms a batch, 50 %", "99 %", "times faster", "same maximum"];
+    let mut table = head("The search, and the whole fix, by engine", &columns);
+    for Engine { name, ms, ratio, identical } in engines {
+        let same = identical.map_or_else(|| "-".to_owned(), |(same, all)| format!("{same} of {all}"));
+        let _ = writeln!(table, "| {name} | {:.2} | {:.2} | {:.0} | {same} |", ms.p50, ms.p99, 1.0 / ratio);
+    }
+    table + "\nAllocations are counted by `cargo bench -p echofix-tests`.\n"
+}
+
+fn by_size(sizes: &[Size], plan: &Plan) -> String {
+    let mut columns = vec!["search, m", "cells of the batch"];
+    columns.extend(sizes.first().into_iter().flat_map(|size| &size.ms).map(|(name, _)| *name));
+    let mut table = head("Engines by the size of window and batch, ms", &columns);
+    for Size { half_width_m, cells, ms } in sizes {
+        let _ = write!(table, "| ± {half_width_m} | {cells} |");
+        for (_, ms) in ms {
+            let _ = write!(table, " {ms:.1} |");
+        }
+        table.push('\n');
+    }
+    let batches = plan.sized;
+    table
+        + &format!(
+            "\nMeans of {batches} batch(es), 19 headings; larger batches hold copies of their detections, scattered by \
+             0.6 m. `bounded` asks `fft` where its bounds rule out too little.\n"
+        )
+}
+
+fn by_length(lengths: &[Length]) -> String {
+    let columns =
+        ["batch, s", "detections", "kB a request", "aligned, ms", "all in process, ms", "us a detection"];
+    let mut table = head("A request by the length of its batch", &columns);
+    for Length { batch_s, detections, request_kb, inside } in lengths {
+        let (aligned, all) = (inside.step(ALIGNED).map(|ms| ms.p50), inside.total_ms.p50);
+        let each = all * 1e3 / *detections as f64;
+        let aligned = or_unknown(aligned, 2);
+        let _ = writeln!(
+            table,
+            "| {batch_s} | {detections} | {request_kb:.1} | {aligned} | {all:.2} | {each:.2} |"
+        );
+    }
+    table
+}
+
+fn of_lost(lost: &Lost) -> String {
+    let Lost { off_m, asked, found, trusted, misled, fix_ms } = lost;
+    let ms = fix_ms.map_or(String::new(), |ms| format!("{:.1} / {:.1} / {:.1}", ms.p50, ms.p95, ms.p99));
+    format!(
+        "\n### Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
+         wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
+         {misled} that are not. Search, climb and verdict take {ms} ms (50 / 95 / 99 %).\n"
+    )
+}
+
+fn of_uploads(uploads: &Uploads) -> String {
+    let Uploads { count, kb, cpu_ms } = *uploads;
+    let each = |all: f64| all / count.max(1) as f64;
+    format!(
+        "\n### An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \
+         decoded, written, vetted against the map, folded into it.\n",
+        each(kb),
+        or_unknown(cpu_ms.map(each), 1)
+    )
+}
+
+fn street(cold: &Cold) -> String {
+    let mut table = head("A street for the first time", &["", ""]);
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(table, "| {name} | {value} |");
+    };
+    let both =
+        |ms: Option<Percentiles>| ms.map_or(String::new(), |ms| format!("{:.2} / {:.2}", ms.p50, ms.p99));
+    row("questions, over km of street", format!("{}, {:.2}", cold.asked, cold.street_km));
+    row("ms for the window of a question, 50 / 99 %", both(cold.window_ms));
+    row("... asked again, from the cache", both(cold.cached_ms));
+    row("CPU ms a street km, beyond the same questions again", or_unknown(cold.cpu_ms_per_km, 0));
+    row("memory of the process a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
+    table
+}

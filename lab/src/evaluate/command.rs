@@ -1,0 +1,201 @@
+//! `echofix evaluate`: the paper's experiments, in one process.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+use super::about::{About, page, part};
+use super::condition::{Condition, Experiment};
+use super::crowd::{Scale, Told};
+use super::method::{Name, Windows};
+use super::record::Record;
+use super::run::{Plan, run as ask_all};
+use super::section::Section;
+use super::worlds::Places;
+use super::{crowd, sanity, sections, summary};
+use crate::report;
+use echofix_harness::progress;
+
+/// Arguments of `echofix evaluate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A few epochs of everything, in a few minutes.
+    #[arg(long)]
+    quick: bool,
+    /// Seeds of the simulated towns.
+    #[arg(long, value_delimiter = ',', default_value = "21,22,23,24,25,26,27,28")]
+    world_seeds: Vec<u64>,
+    /// Epochs of a town or log, at most.
+    #[arg(long, default_value_t = 300)]
+    epochs_per_world: usize,
+    /// Of those, epochs at which every condition is asked, not the headline's alone.
+    #[arg(long, default_value_t = 60)]
+    swept_per_world: usize,
+    /// Seconds of driving between epochs.
+    #[arg(long, default_value_t = 1.0)]
+    every_s: f64,
+    /// Priors drawn an epoch.
+    #[arg(long, default_value_t = 1)]
+    priors: usize,
+    /// Seed of priors and drift.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Only these experiments.
+    #[arg(long, value_delimiter = ',')]
+    only: Vec<Experiment>,
+    /// The methods, in the order of the tables.
+    #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
+    methods: Vec<Name>,
+    /// Contributors of the crowd experiment's maps.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
+    crowds: Vec<usize>,
+    /// Localize this drive log instead of simulated drives; needs --map.
+    #[arg(long, requires = "map")]
+    drive: Option<PathBuf>,
+    /// Make the map of this drive log; may be given several times, in the order they join the map.
+    #[arg(long, requires = "drive")]
+    map: Vec<PathBuf>,
+    /// Organise a log's batches by its known poses, as the paper did, instead of by its odometry.
+    #[arg(long, requires = "drive")]
+    known_odometry: bool,
+    /// Reference poses of a log with a larger sigma are not mapped from, metres.
+    #[arg(long, default_value_t = 0.3)]
+    max_sigma_m: f64,
+    /// Memory for prepared windows, mebibytes.
+    #[arg(long, default_value_t = 1024)]
+    windows_mib: u64,
+    /// Write every fix to this CSV file.
+    #[arg(long)]
+    epochs: Option<PathBuf>,
+    /// Write figures to docs/evaluation/ and tables to BENCHMARKS.md, in this folder; with --only, what
+    /// the page says of other experiments stays.
+    #[arg(long)]
+    write: Option<PathBuf>,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When a world cannot be made, a file not be written, or the figures are not sane.
+pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    let (own, experiments): (Vec<_>, Vec<_>) =
+        experiments(args).into_iter().partition(|e| Experiment::OF_THE_CROWD.contains(e));
+    let own = of_the_crowd(args, &own)?;
+    let (places, plan, crowds) = (places(args, !experiments.is_empty()), plan(args), crowds(args));
+    let mut conditions = Vec::new();
+    for condition in experiments.iter().flat_map(|e| e.conditions(plan.base, &crowds)) {
+        if !conditions.contains(&condition) {
+            conditions.push(condition);
+        }
+    }
+    let windows = Windows::new(args.windows_mib);
+    let bar = progress::bar("epochs", 0, json);
+    let mut rows = Vec::new();
+    for index in 0..places.len() {
+        let conditions = places.conditions(index, &conditions, plan.base);
+        let world = places.world(index, &conditions, args.max_sigma_m)?;
+        rows.extend(ask_all(&world, &conditions, &plan, &windows, &bar)?);
+    }
+    bar.finish_and_clear();
+    if rows.is_empty() && !experiments.is_empty() {
+        bail!("there is no epoch at which a fix could be asked for: the drives are too short or too slow");
+    }
+    if let Some(path) = &args.epochs {
+        write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
+    }
+    let sections = experiments.iter().map(|e| sections::section(*e, &rows, &plan, &crowds));
+    let (own, lines): (Vec<_>, Vec<_>) = own.into_iter().map(|told| (told.section, told.lines)).unzip();
+    let lines: Vec<_> = own.iter().map(|section| section.experiment).zip(lines).collect();
+    let sections: Vec<Section> = sections.chain(own).collect();
+    let about = About::of(&places, &plan, &rows);
+    if let Some(folder) = &args.write {
+        write_report(folder, &about, &sections)?;
+    }
+    if json {
+        println!("{}", summary::of(&rows, &experiments, plan.base, &crowds, lines));
+    } else {
+        println!("{}", page(&about, &sections));
+    }
+    if args.quick && !experiments.is_empty() {
+        sanity::check(&rows, &plan.base)?;
+    }
+    Ok(())
+}
+
+fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Told>> {
+    let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
+    let told = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
+    Ok(told.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
+fn experiments(args: &Args) -> Vec<Experiment> {
+    let logs = args.drive.is_some();
+    let asked = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
+    asked.iter().copied().filter(|e| !(logs && e.scenes())).collect()
+}
+
+fn places(args: &Args, any: bool) -> Places {
+    if !any {
+        return Places::simulated(&[], &[], args.quick);
+    }
+    if let Some(drive) = &args.drive {
+        return Places::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
+    }
+    let experiments = experiments(args);
+    let towns =
+        if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
+    let only_scenes = experiments == [Experiment::Ambiguity];
+    let scenes = experiments.iter().any(|e| e.scenes());
+    Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
+}
+
+fn plan(args: &Args) -> Plan {
+    let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
+    let base = Condition { contributors: args.map.len().max(1), ..Condition::default() };
+    let variants = |experiment: Experiment| {
+        let conditions = experiment.conditions(base, &[]);
+        conditions.into_iter().flat_map(move |c| experiment.variants().iter().map(move |name| (*name, c)))
+    };
+    Plan {
+        every_s: args.every_s,
+        epochs,
+        swept,
+        base,
+        priors: args.priors,
+        seed: args.seed,
+        methods: args.methods.clone(),
+        variants: experiments(args).into_iter().flat_map(variants).collect(),
+        forecasts: true,
+    }
+}
+
+fn crowds(args: &Args) -> Vec<usize> {
+    let logs = args.map.len();
+    let most = if args.quick { 2 } else { usize::MAX };
+    let possible = |n: &usize| *n >= 1 && *n <= most && (logs == 0 || *n <= logs);
+    args.crowds.iter().copied().filter(possible).collect()
+}
+
+fn write_rows(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_path(path)?;
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    Ok(writer.flush()?)
+}
+
+fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::Result<()> {
+    let figures = folder.join("docs/evaluation");
+    std::fs::create_dir_all(&figures).with_context(|| format!("making {}", figures.display()))?;
+    for section in sections {
+        section.draw(&figures)?;
+    }
+    let file = folder.join("BENCHMARKS.md");
+    let known = std::fs::read_to_string(&file).unwrap_or_default();
+    let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
+    // What the page says of other experiments stays; a new one goes to its end.
+    if sections.len() < Experiment::ALL.len() && known.contains("<!-- evaluate:begin -->") {
+        return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
+    }
+    report::write_section(&file, "evaluate", &page(about, sections))
+}
