@@ -38,7 +38,6 @@ pub mod backoff;
 mod disk;
 pub mod drivelog;
 pub mod filter;
-mod gate;
 pub mod import;
 mod localizer;
 pub mod refusal;

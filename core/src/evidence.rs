@@ -1,25 +1,26 @@
 //! What a map cell knows, and what an upload tells it.
 //!
 //! - [`Cell`]: hits, who hit it and when, and how present it is.
-//! - [`Contribution`]: an upload's hits and what it had in view, by tile ([`Share`]); made by a
-//!   [`Gathering`]; its bytes are in [`codec`].
+//! - [`EvidenceDelta`]: an upload's hits and what it had in view, by tile ([`TileEvidence`]); made by a
+//!   [`EvidenceAccumulator`]; its bytes are in [`codec`].
 //! - [`ViewBlocks`]: what was in view. [`presence`]: what that makes of a cell.
 //! - [`InverseSensorModel`]: the paper's.
 
+mod accumulator;
 mod blocks;
+pub mod build;
 pub mod codec;
-mod gathering;
 pub mod presence;
 mod sensor_model;
 mod view;
 
 use std::collections::BTreeMap;
 
+pub use accumulator::EvidenceAccumulator;
 pub use blocks::{
     SUPPORT_BLOCK_CELLS, SUPPORT_BLOCKS, VIEW_BLOCK_CELLS, VIEW_BLOCK_M, VIEW_BLOCKS, ViewBlocks,
     support_block, view_block,
 };
-pub use gathering::Gathering;
 pub use sensor_model::InverseSensorModel;
 
 use crate::geo::TileId;
@@ -101,14 +102,14 @@ impl CellHits {
 
 /// What one upload tells one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Share {
+pub struct TileEvidence {
     /// Cells that were hit, in order of their index.
     pub cells: Vec<CellHits>,
     /// Blocks that were in view. Those with a hit always count as such.
     pub observed: ViewBlocks,
 }
 
-impl Share {
+impl TileEvidence {
     /// Hits, and nothing in view beyond their blocks. The cells must be in order of their index.
     #[must_use]
     pub fn of_hits(cells: Vec<CellHits>) -> Self {
@@ -125,9 +126,9 @@ impl Share {
 
 /// What one upload tells the map.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Contribution {
+pub struct EvidenceDelta {
     /// Shares by tile. A tile in which nothing was hit has none, though it may have been in view.
-    pub tiles: BTreeMap<TileId, Share>,
+    pub tiles: BTreeMap<TileId, TileEvidence>,
     /// Detections that count, in the zone the positions belong to.
     pub detections: u64,
 }

@@ -1,4 +1,4 @@
-//! One radar scan, the place of the radar on the vehicle, and which detections are kept.
+//! One radar scan, and where its radar sits on the vehicle.
 
 use crate::pose::Pose2;
 
@@ -103,7 +103,7 @@ impl Scan {
         self.range_m.is_empty()
     }
 
-    /// The detection's place in the sensor's frame, metres (x along the boresight, y left).
+    /// The detection's position in the sensor's frame, metres (x along the boresight, y left).
     #[must_use]
     pub fn sensor_point(&self, row: usize) -> [f64; 2] {
         let (range, azimuth) = (f64::from(self.range_m[row]), f64::from(self.azimuth_rad[row]));
@@ -160,24 +160,6 @@ pub fn first_row(column: &[f32], wrong: impl Fn(f32) -> bool) -> Option<usize> {
 
 /// Where a radar sits on the body: metres from the body's origin, boresight yaw from forward.
 pub type Mount = Pose2;
-
-/// Which detections are kept for mapping and localization (paper, Sec. "Mapping").
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Gate {
-    /// Scans taken slower than this are dropped, metres per second: clutter is intense at rest.
-    pub min_speed_mps: f64,
-    /// Detections farther than this are dropped, metres: they are mostly clutter.
-    pub max_range_m: f64,
-    /// Detections whose radial speed differs more than this from a stationary target's are
-    /// dropped as movers, metres per second.
-    pub max_doppler_residual_mps: f64,
-}
-
-impl Default for Gate {
-    fn default() -> Self {
-        Self { min_speed_mps: 1.0, max_range_m: 50.0, max_doppler_residual_mps: 0.5 }
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -9,8 +9,8 @@ use echofix_client::drivelog::{Event, replay};
 use echofix_client::service::Service;
 use echofix_client::upload::spool::{Limits, Spool};
 use echofix_client::upload::{Config as RecorderConfig, Options, Recorder, Uploader};
-use echofix_core::batch::Dropped;
 use echofix_core::drive::Drive;
+use echofix_core::gate::Dropped;
 use indicatif::ProgressBar;
 use serde::Serialize;
 

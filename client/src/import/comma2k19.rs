@@ -83,7 +83,7 @@ fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
 mod tests {
     use super::*;
     use crate::import::data_dir;
-    use echofix_core::doppler::drop_movers;
+    use echofix_core::gate::{Gate, gate_scan};
     use std::fs;
 
     #[test]
@@ -115,7 +115,7 @@ mod tests {
             assert!(scan.validate().is_ok());
             let Some(velocity) = drive.odometry.velocity_at(scan.time_us) else { continue };
             let mut kept = scan.clone();
-            drop_movers(&mut kept, &drive.mounts[0], velocity, 1.0);
+            gate_scan(&mut kept, &drive.mounts[0], Some(velocity), &Gate::of_movers(1.0));
             all += scan.len();
             stationary += kept.len();
         }

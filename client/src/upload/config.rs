@@ -1,7 +1,8 @@
 //! What is recorded and how it is cut.
 
-use echofix_core::contribution::Limits;
-use echofix_core::scan::Gate;
+use echofix_core::drive::segment::SegmentLimits;
+use echofix_core::evidence::build::EvidenceLimits;
+use echofix_core::gate::Gate;
 
 use crate::wire::Columns;
 
@@ -61,15 +62,26 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The same limits as the core knows them. Movers are gone already: odometry tells them better than the
-    /// differences of absolute poses do.
-    pub(super) fn limits(&self) -> Limits {
-        Limits {
-            gate: Gate { max_doppler_residual_mps: f64::INFINITY, ..self.gate },
+    /// What the poses of a segment must fulfil. Jumps are left to the build of evidence.
+    pub(super) fn segments(&self) -> SegmentLimits {
+        SegmentLimits {
             max_sigma_position_m: self.max_sigma_position_m,
             max_sigma_yaw_rad: self.max_sigma_yaw_rad,
             max_pose_gap_s: self.max_pose_gap_s,
-            ..Limits::default()
+            max_speed_mps: f64::INFINITY,
+        }
+    }
+
+    /// The limits for building evidence. Movers are gone already: odometry shows them better than the
+    /// differences of absolute poses do.
+    pub(super) fn evidence(&self) -> EvidenceLimits {
+        EvidenceLimits {
+            gate: Gate { max_doppler_residual_mps: f64::INFINITY, ..self.gate },
+            segments: SegmentLimits {
+                max_speed_mps: SegmentLimits::default().max_speed_mps,
+                ..self.segments()
+            },
+            ..EvidenceLimits::default()
         }
     }
 }

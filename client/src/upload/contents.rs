@@ -1,7 +1,7 @@
 //! One upload: a stretch of a drive under one id.
 
 use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{Contribution, codec};
+use echofix_core::evidence::{EvidenceDelta, codec};
 use echofix_core::scan::{Mount, Scan};
 use echofix_core::tile::DecodeError;
 use echofix_proto::v1;
@@ -69,7 +69,7 @@ impl Upload {
 
     /// Adds what the vehicle gathered itself; `sigmas` are the largest of the poses it was mapped from (metres,
     /// radians).
-    pub(crate) fn add_evidence(&mut self, contribution: &Contribution, sigmas: [f64; 2]) {
+    pub(crate) fn add_evidence(&mut self, contribution: &EvidenceDelta, sigmas: [f64; 2]) {
         let bytes = codec::encode(contribution);
         let [sigma_position_m, sigma_yaw_rad] = sigmas.map(|sigma| sigma as f32);
         for piece in bytes.chunks(CHUNK_BYTES) {
@@ -117,7 +117,7 @@ impl Upload {
     ///
     /// # Errors
     /// When its bytes are not a contribution.
-    pub fn evidence(&self) -> Result<Contribution, DecodeError> {
+    pub fn evidence(&self) -> Result<EvidenceDelta, DecodeError> {
         codec::decode(&self.evidence_bytes(), usize::MAX)
     }
 
@@ -134,7 +134,7 @@ impl Upload {
     pub fn detections(&self) -> usize {
         let scans: usize =
             self.chunks().filter_map(|chunk| chunk.scans.as_ref()).map(|scans| scans.range_m.len()).sum();
-        let evidence = codec::decode_head(&self.evidence_bytes()).map_or(0, |head| head.detections);
+        let evidence = codec::decode_header(&self.evidence_bytes()).map_or(0, |head| head.detections);
         scans + evidence as usize
     }
 

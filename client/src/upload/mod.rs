@@ -12,9 +12,9 @@
 mod config;
 mod contents;
 mod recorder;
+mod segment;
 mod sender;
 pub mod spool;
-mod stretch;
 mod uploader;
 
 pub use config::{Config, Form};

@@ -1,14 +1,15 @@
 //! Cuts a drive into uploads.
 
-use echofix_core::batch::Dropped;
-use echofix_core::contribution::{Chunk, Contributed, Submission, contribute};
 use echofix_core::drive::GeoPose;
-use echofix_core::geo::{self, Zone};
+use echofix_core::drive::segment::usable_segments;
+use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
+use echofix_core::gate::Dropped;
+use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 
-use super::{Config, Form, Upload, stretch};
+use super::{Config, Form, Upload, segment};
 
 const DAY_US: i64 = 86_400_000_000;
 /// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
@@ -191,44 +192,44 @@ impl Recorder {
     fn cut_at(&mut self, cut: usize) -> Option<Upload> {
         let poses: Vec<GeoPose> = self.poses[..=cut].iter().map(|(pose, _)| *pose).collect();
         let (first_us, last_us) = (poses.first()?.time_us, poses.last()?.time_us);
-        let mut submission = Submission { mounts: self.mounts.clone(), chunks: Vec::new() };
-        for stretch in stretch::good(&poses, &self.config) {
-            let scans = take_within(&mut self.scans, stretch);
+        let mut raw = RawUpload { mounts: self.mounts.clone(), chunks: Vec::new() };
+        for segment in usable_segments(&poses, &self.config.segments()) {
+            let scans = take_within(&mut self.scans, segment);
             let (mounts, config) = (&self.mounts, &self.config);
-            let scans = stretch::gated(stretch, &scans, mounts, &self.odometry, config, &mut self.dropped);
-            submission.chunks.push(Chunk { poses: stretch.to_vec(), scans });
+            let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, &mut self.dropped);
+            raw.chunks.push(Chunk { poses: segment.to_vec(), scans });
         }
-        let upload = self.upload_of(submission, first_us);
+        let upload = self.upload_of(raw, first_us);
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
         upload
     }
 
     /// The upload in the form that is sent; `None` when nothing is left to map.
-    fn upload_of(&mut self, submission: Submission, first_us: i64) -> Option<Upload> {
+    fn upload_of(&mut self, raw: RawUpload, first_us: i64) -> Option<Upload> {
         let mut upload = match self.config.form {
             Form::Scans => Upload::start(&self.contributor, &self.mounts, first_us),
             // Evidence tells the day only.
             Form::Evidence => Upload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US)),
         };
         if self.config.form == Form::Scans {
-            for Chunk { poses, scans } in &submission.chunks {
+            for Chunk { poses, scans } in &raw.chunks {
                 upload.add(poses, scans, self.config.columns);
             }
             return (upload.detections() > 0).then_some(upload);
         }
-        let poses = submission.chunks.iter().flat_map(|chunk| &chunk.poses);
+        let poses = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
         let sigmas = poses
             .fold([0.0_f64; 2], |[p, y], pose| [p.max(pose.sigma_position_m), y.max(pose.sigma_yaw_rad)]);
-        match contribute(submission, &self.config.limits()) {
-            Ok(Contributed { contribution, dropped }) => {
+        match build_evidence(raw, &self.config.evidence()) {
+            Ok(BuiltEvidence { delta, dropped }) => {
                 self.dropped.add(&dropped);
-                upload.add_evidence(&contribution, sigmas);
+                upload.add_evidence(&delta, sigmas);
                 Some(upload)
             }
-            // Poses were checked as they came: what is refused here has nothing to map.
-            Err(refusal) => {
-                tracing::debug!(%refusal, "a stretch of the drive maps nothing");
+            // Poses were checked as they came: what fails here has nothing to map.
+            Err(reason) => {
+                tracing::debug!(%reason, "a part of the drive maps nothing");
                 None
             }
         }
@@ -261,9 +262,9 @@ fn count_lost(dropped: &mut Dropped, scan: &Scan) -> bool {
     false
 }
 
-/// Takes the scans within a stretch's time out of the others.
-fn take_within(scans: &mut Vec<Scan>, stretch: &[GeoPose]) -> Vec<Scan> {
-    let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { return Vec::new() };
+/// Takes the scans within a segment's time out of the others.
+fn take_within(scans: &mut Vec<Scan>, segment: &[GeoPose]) -> Vec<Scan> {
+    let (Some(first), Some(last)) = (segment.first(), segment.last()) else { return Vec::new() };
     let from = scans.partition_point(|s| s.time_us < first.time_us);
     let to = scans.partition_point(|s| s.time_us <= last.time_us);
     scans.drain(from..to.max(from)).collect()
@@ -271,10 +272,7 @@ fn take_within(scans: &mut Vec<Scan>, stretch: &[GeoPose]) -> Vec<Scan> {
 
 /// Metres between two poses that are near each other.
 fn ground_m(a: &GeoPose, b: &GeoPose) -> f64 {
-    const METRES_PER_DEGREE: f64 = 111_195.0;
-    let north = (b.at.lat_deg - a.at.lat_deg) * METRES_PER_DEGREE;
-    let turns = (b.at.lon_deg - a.at.lon_deg + 540.0).rem_euclid(360.0) - 180.0;
-    north.hypot(turns * METRES_PER_DEGREE * a.at.lat_deg.to_radians().cos())
+    ground_distance_m(a.at, b.at, MetresPerDegree::SPHERE)
 }
 
 fn check(pose: &GeoPose) -> Result<(), Error> {

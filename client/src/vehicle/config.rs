@@ -1,7 +1,7 @@
 //! What a vehicle needs, and how its odometry drifts.
 
 use echofix_core::doppler::dedrift::OdometryBias;
-use echofix_core::scan::Gate;
+use echofix_core::gate::Gate;
 
 /// How a [`Vehicle`](super::Vehicle) collects, asks and judges.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -19,10 +19,10 @@ mod window;
 pub use config::{AlertLimits, Config, Drift};
 pub use verdict::{Fix, Rejection};
 
-use echofix_core::batch::Dropped;
 use echofix_core::doppler::dedrift::dedrifted;
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::GeoPose;
+use echofix_core::gate::Dropped;
 use echofix_core::geo;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;

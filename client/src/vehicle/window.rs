@@ -1,12 +1,11 @@
 //! The sliding window: odometry, and the gated scans it covers.
 
-use echofix_core::batch::Dropped;
+use echofix_core::gate::{Dropped, gate_scan};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 
 use super::{Config, Error};
-use crate::gate;
 
 /// The last seconds of a drive.
 #[derive(Debug, Clone)]
@@ -124,7 +123,7 @@ impl Window {
         for mut scan in self.waiting.drain(..covered) {
             let velocity = self.odometry.velocity_at(scan.time_us);
             let mount = &self.mounts[scan.sensor];
-            gate::apply(&mut scan, mount, velocity, &self.config.gate, &mut self.dropped);
+            self.dropped.add(&gate_scan(&mut scan, mount, velocity, &self.config.gate));
             if !scan.is_empty() {
                 // Geometry is sent, and radial speeds correct the odometry; do not hold the rest.
                 scan.rcs_dbsm = Vec::new();

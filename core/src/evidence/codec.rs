@@ -12,20 +12,20 @@
 
 use std::collections::BTreeMap;
 
-use super::{CellHits, Contribution, OFFSET_STEPS, Share, VIEW_BLOCKS, ViewBlocks};
+use super::{CellHits, EvidenceDelta, OFFSET_STEPS, TileEvidence, VIEW_BLOCKS, ViewBlocks};
 use crate::geo::{TileId, Zone};
-use crate::sealed::{self, Kind};
+use crate::sealed::{self, SealedFormat};
 use crate::tile::{CELLS, DecodeError};
-use crate::varint::{Reader, Writer};
+use crate::varint::{VarintReader, VarintWriter};
 
-const KIND: Kind = Kind { magic: *b"EFC", version: 2 };
+const FORMAT: SealedFormat = SealedFormat { magic: *b"EFC", version: 2 };
 /// Read and written once each, and many of them: speed matters more than the last bytes.
 const ZSTD_LEVEL: i32 = 1;
 
 /// What is known of a contribution without its cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Head {
-    /// See [`Contribution::detections`].
+pub struct DeltaHeader {
+    /// See [`EvidenceDelta::detections`].
     pub detections: u64,
     /// Tiles and their numbers of cells.
     pub tiles: Vec<(TileId, usize)>,
@@ -33,9 +33,9 @@ pub struct Head {
 
 /// The bytes of a contribution.
 #[must_use]
-pub fn encode(contribution: &Contribution) -> Vec<u8> {
-    let Contribution { tiles, detections } = contribution;
-    let mut out = Writer::default();
+pub fn encode(contribution: &EvidenceDelta) -> Vec<u8> {
+    let EvidenceDelta { tiles, detections } = contribution;
+    let mut out = VarintWriter::default();
     out.put(*detections);
     out.put(tiles.len() as u64);
     for (id, share) in tiles {
@@ -47,7 +47,7 @@ pub fn encode(contribution: &Contribution) -> Vec<u8> {
     let columns = columns(tiles);
     out.put(columns.len() as u64);
     out.bytes.extend(sealed::compressed(&columns, ZSTD_LEVEL));
-    KIND.seal(&out.bytes)
+    FORMAT.seal(&out.bytes)
 }
 
 /// Offset sum of hits in the middle of their cell.
@@ -55,8 +55,8 @@ fn middle(hits: u32) -> i64 {
     i64::from(hits) * i64::from(OFFSET_STEPS / 2)
 }
 
-fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
-    let mut out = Writer::default();
+fn columns(tiles: &BTreeMap<TileId, TileEvidence>) -> Vec<u8> {
+    let mut out = VarintWriter::default();
     for share in tiles.values() {
         put_blocks(&mut out, &share.observed);
     }
@@ -75,9 +75,9 @@ fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
 ///
 /// # Errors
 /// When the bytes are not a contribution's, are damaged, or break the format.
-pub fn decode_head(bytes: &[u8]) -> Result<Head, DecodeError> {
-    let body = KIND.unseal(bytes)?;
-    head(&mut Reader { rest: body }).ok_or(DecodeError::Malformed)
+pub fn decode_header(bytes: &[u8]) -> Result<DeltaHeader, DecodeError> {
+    let body = FORMAT.unseal(bytes)?;
+    header(&mut VarintReader { rest: body }).ok_or(DecodeError::Malformed)
 }
 
 /// The contribution of its bytes; columns of more than `most` bytes are refused unread. A cell takes
@@ -85,34 +85,34 @@ pub fn decode_head(bytes: &[u8]) -> Result<Head, DecodeError> {
 ///
 /// # Errors
 /// When the bytes are not a contribution's, are damaged, or break the format.
-pub fn decode(bytes: &[u8], most: usize) -> Result<Contribution, DecodeError> {
-    let body = KIND.unseal(bytes)?;
-    contribution(&mut Reader { rest: body }, most).ok_or(DecodeError::Malformed)
+pub fn decode(bytes: &[u8], most: usize) -> Result<EvidenceDelta, DecodeError> {
+    let body = FORMAT.unseal(bytes)?;
+    contribution(&mut VarintReader { rest: body }, most).ok_or(DecodeError::Malformed)
 }
 
-fn head(input: &mut Reader<'_>) -> Option<Head> {
+fn header(input: &mut VarintReader<'_>) -> Option<DeltaHeader> {
     let detections = input.get()?;
     let count = input.count()?;
     let tiles: Vec<_> = (0..count).map(|_| tile(input)).collect::<Option<_>>()?;
-    tiles.is_sorted_by(|a, b| a.0 < b.0).then_some(Head { detections, tiles })
+    tiles.is_sorted_by(|a, b| a.0 < b.0).then_some(DeltaHeader { detections, tiles })
 }
 
-fn tile(input: &mut Reader<'_>) -> Option<(TileId, usize)> {
+fn tile(input: &mut VarintReader<'_>) -> Option<(TileId, usize)> {
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let (x, y) = (input.get_signed()?, input.get_signed()?);
     let cells = input.get().filter(|cells| *cells <= CELLS as usize)?;
     Some((TileId { zone, y, x }, cells))
 }
 
-fn contribution(input: &mut Reader<'_>, most: usize) -> Option<Contribution> {
-    let Head { detections, tiles } = head(input)?;
+fn contribution(input: &mut VarintReader<'_>, most: usize) -> Option<EvidenceDelta> {
+    let DeltaHeader { detections, tiles } = header(input)?;
     let length = input.get().filter(|length| *length <= most)?;
     let columns = sealed::decompressed(input.rest, length)?;
-    let tiles = shares(&tiles, &mut Reader { rest: &columns })?;
-    Some(Contribution { tiles, detections })
+    let tiles = shares(&tiles, &mut VarintReader { rest: &columns })?;
+    Some(EvidenceDelta { tiles, detections })
 }
 
-fn shares(tiles: &[(TileId, usize)], input: &mut Reader<'_>) -> Option<BTreeMap<TileId, Share>> {
+fn shares(tiles: &[(TileId, usize)], input: &mut VarintReader<'_>) -> Option<BTreeMap<TileId, TileEvidence>> {
     let observed: Vec<_> = tiles.iter().map(|_| blocks(input)).collect::<Option<_>>()?;
     let mut cells = Vec::new();
     for (_, count) in tiles {
@@ -131,20 +131,21 @@ fn shares(tiles: &[(TileId, usize)], input: &mut Reader<'_>) -> Option<BTreeMap<
     }
     input.finish()?;
     let mut rest = cells.into_iter();
-    let share = |count: usize, observed| Share { cells: rest.by_ref().take(count).collect(), observed };
+    let share =
+        |count: usize, observed| TileEvidence { cells: rest.by_ref().take(count).collect(), observed };
     let mut share = share;
     Some(tiles.iter().zip(observed).map(|((id, count), seen)| (*id, share(*count, seen))).collect())
 }
 
 /// Blocks as the number of their runs and the runs' lengths.
-pub(crate) fn put_blocks(out: &mut Writer, blocks: &ViewBlocks) {
+pub(crate) fn put_blocks(out: &mut VarintWriter, blocks: &ViewBlocks) {
     let runs = blocks.runs();
     out.put(runs.len() as u64);
     out.put_all(runs.into_iter().map(|run| run as u64));
 }
 
 /// What [`put_blocks`] wrote.
-pub(crate) fn blocks(input: &mut Reader<'_>) -> Option<ViewBlocks> {
+pub(crate) fn blocks(input: &mut VarintReader<'_>) -> Option<ViewBlocks> {
     let count = input.count().filter(|count| *count <= VIEW_BLOCKS + 1)?;
     let runs: Vec<usize> = (0..count).map(|_| input.get()).collect::<Option<_>>()?;
     ViewBlocks::from_runs(runs.into_iter())
@@ -155,7 +156,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn contributions() -> impl Strategy<Value = Contribution> {
+    fn contributions() -> impl Strategy<Value = EvidenceDelta> {
         let tile = (-2..3_i32, -2..3_i32, any::<bool>()).prop_map(|(x, y, south)| {
             let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
             TileId { zone, y, x }
@@ -167,9 +168,9 @@ mod tests {
         });
         let observed = prop::collection::vec(0..VIEW_BLOCKS, 0..40);
         let share = (cells, observed)
-            .prop_map(|(cells, observed)| Share { cells, observed: observed.into_iter().collect() });
+            .prop_map(|(cells, observed)| TileEvidence { cells, observed: observed.into_iter().collect() });
         (prop::collection::btree_map(tile, share, 0..5), any::<u64>())
-            .prop_map(|(tiles, detections)| Contribution { tiles, detections })
+            .prop_map(|(tiles, detections)| EvidenceDelta { tiles, detections })
     }
 
     proptest! {
@@ -177,7 +178,7 @@ mod tests {
         fn decoding_undoes_encoding(contribution in contributions()) {
             let bytes = encode(&contribution);
             let cells: usize = contribution.tiles.values().map(|share| share.cells.len()).sum();
-            let head = decode_head(&bytes).unwrap();
+            let head = decode_header(&bytes).unwrap();
             prop_assert_eq!(head.detections, contribution.detections);
             let counted = head.tiles.iter().map(|(id, _)| *id).eq(contribution.tiles.keys().copied());
             prop_assert!(counted && head.tiles.iter().map(|(_, count)| count).sum::<usize>() == cells);
@@ -201,19 +202,19 @@ mod tests {
             contribution in contributions(), changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         ) {
             let bytes = encode(&contribution);
-            let mut body = KIND.unseal(&bytes).unwrap().to_vec();
+            let mut body = FORMAT.unseal(&bytes).unwrap().to_vec();
             for (at, value) in &changes {
                 let at = at.index(body.len());
                 body[at] = *value;
             }
-            let _ = decode(&KIND.seal(&body), 1 << 20);
+            let _ = decode(&FORMAT.seal(&body), 1 << 20);
             let mut columns = columns(&contribution.tiles);
             for (at, value) in changes.iter().filter(|_| !contribution.tiles.is_empty()) {
                 let at = at.index(columns.len());
                 columns[at] = *value;
             }
             let tiles: Vec<_> = contribution.tiles.iter().map(|(id, share)| (*id, share.cells.len())).collect();
-            let _ = shares(&tiles, &mut Reader { rest: &columns });
+            let _ = shares(&tiles, &mut VarintReader { rest: &columns });
         }
     }
 
@@ -221,7 +222,8 @@ mod tests {
     fn columns_longer_than_allowed_are_refused() {
         let cells = (0..100).map(|index| CellHits { index, hits: 1, offset_sum: [130, 126] }).collect();
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 1, x: 2 };
-        let contribution = Contribution { tiles: [(id, Share::of_hits(cells))].into(), detections: 100 };
+        let contribution =
+            EvidenceDelta { tiles: [(id, TileEvidence::of_hits(cells))].into(), detections: 100 };
         let bytes = encode(&contribution);
         assert_eq!(decode(&bytes, 400), Err(DecodeError::Malformed));
         assert_eq!(decode(&bytes, 500), Ok(contribution));

@@ -24,13 +24,13 @@ const MIN_RAYS: u8 = 4;
 
 /// A view block of a zone's plane, counted from the zone's false origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Place {
+struct BlockIndex {
     zone: Zone,
     x: i64,
     y: i64,
 }
 
-impl Place {
+impl BlockIndex {
     fn of(zone: Zone, point: [f64; 2]) -> Self {
         let cell = CellIndex::of(point);
         let side = VIEW_BLOCK_CELLS as i64;
@@ -53,7 +53,7 @@ impl Place {
 /// The farthest returns by place of the radar and sector.
 #[derive(Debug, Default)]
 pub(super) struct Views {
-    farthest_m: HashMap<Place, Box<[f32; SECTORS]>>,
+    farthest_m: HashMap<BlockIndex, Box<[f32; SECTORS]>>,
 }
 
 /// Rays that crossed each block of some tiles.
@@ -62,7 +62,7 @@ type Crossed = BTreeMap<TileId, Box<[u8; VIEW_BLOCKS]>>;
 impl Views {
     /// Returns of one radar at one place, map metres.
     pub(super) fn see(&mut self, zone: Zone, radar: [f64; 2], returns: impl Iterator<Item = [f64; 2]>) {
-        let place = Place::of(zone, radar);
+        let place = BlockIndex::of(zone, radar);
         let [x0, y0] = place.middle();
         let farthest_m = self.farthest_m.entry(place).or_insert_with(|| Box::new([0.0; SECTORS]));
         for [x, y] in returns {
@@ -87,7 +87,13 @@ impl Views {
 }
 
 /// Counts a ray in every block it crosses.
-fn follow(from: Place, sector: usize, range_m: f64, known: &impl Fn(&TileId) -> bool, crossed: &mut Crossed) {
+fn follow(
+    from: BlockIndex,
+    sector: usize,
+    range_m: f64,
+    known: &impl Fn(&TileId) -> bool,
+    crossed: &mut Crossed,
+) {
     let [x0, y0] = from.middle();
     let (sin, cos) = ((sector as f64 + 0.5) / SECTORS as f64 * TAU).sin_cos();
     let mut last = None;
@@ -95,7 +101,7 @@ fn follow(from: Place, sector: usize, range_m: f64, known: &impl Fn(&TileId) -> 
     let mut here: Option<(TileId, Option<&mut Box<[u8; VIEW_BLOCKS]>>)> = None;
     for step in 0..=(range_m / STEP_M) as usize {
         let along = step as f64 * STEP_M;
-        let place = Place::of(from.zone, [x0 + along * cos, y0 + along * sin]);
+        let place = BlockIndex::of(from.zone, [x0 + along * cos, y0 + along * sin]);
         if last.replace(place) == Some(place) {
             continue;
         }

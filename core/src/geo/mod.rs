@@ -8,10 +8,12 @@
 //! Near a zone border the map is kept in both zones ([`zones_near`]), so that an upload or a
 //! request sees one map whichever side it comes from.
 
+mod distance;
 mod grid;
 mod tile_id;
 mod zone;
 
+pub use distance::{MetresPerDegree, ground_distance_m};
 pub use grid::{Grid, LatLon};
 pub use tile_id::{CELL_M, CELLS_PER_TILE, CellIndex, TILE_M, TileId};
 pub use zone::{Zone, zones_near};

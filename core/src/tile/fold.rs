@@ -3,20 +3,20 @@
 use super::ledger::{CellNews, News};
 use super::{Ledger, Tile};
 use crate::datum::Offset;
-use crate::evidence::{Cell, CellHits, Pass, Share, presence, view_block};
+use crate::evidence::{Cell, CellHits, Pass, TileEvidence, presence, view_block};
 
 impl Tile {
     /// Folds one upload's share in, as a vote of `pass`; `ledger` is the tile's own.
     ///
     /// A cell in a block that the pass has in view for the first time, and does not hit, gets less
     /// present; one that fades altogether is dropped. The share's cells must be in order of their
-    /// index, as [`crate::evidence::Contribution`] holds them.
-    pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share) {
+    /// index, as [`crate::evidence::EvidenceDelta`] holds them.
+    pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, share: &TileEvidence) {
         self.fold_moved(ledger, pass, share, Offset::default());
     }
 
     /// The same with a share that was moved onto the map, by `offset` at the tile's centre.
-    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share, offset: Offset) {
+    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, share: &TileEvidence, offset: Offset) {
         if !ledger.knows(pass) {
             self.datum.add(offset);
         }

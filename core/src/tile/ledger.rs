@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::CELLS;
-use super::votes::Kept;
-use crate::evidence::{Pass, SUPPORT_BLOCKS, Share, ViewBlocks, support_block, view_block};
+use super::votes::EncodedVotes;
+use crate::evidence::{Pass, SUPPORT_BLOCKS, TileEvidence, ViewBlocks, support_block, view_block};
 
 /// Days a pass stays open, counted back from the newest one.
 const OPEN_DAYS: u16 = 30;
@@ -20,7 +20,7 @@ const OBSERVED_VOTES: usize = 32;
 /// one unless a later pass of the same contributor is open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ledger {
-    passes: BTreeMap<Pass, Kept>,
+    passes: BTreeMap<Pass, EncodedVotes>,
 }
 
 /// What is new in a share.
@@ -45,9 +45,9 @@ pub(super) struct CellNews {
 
 impl Ledger {
     /// Records what an upload of a pass says of the tile, and tells what is new in it.
-    pub(super) fn record(&mut self, pass: Pass, share: &Share) -> News {
+    pub(super) fn record(&mut self, pass: Pass, share: &TileEvidence) -> News {
         let mut known = Known::of(self, pass.contributor);
-        let mut votes = self.passes.get(&pass).map(Kept::votes).unwrap_or_default();
+        let mut votes = self.passes.get(&pass).map(EncodedVotes::votes).unwrap_or_default();
         let cells = share.cells.iter().map(|hit| CellNews {
             pass: votes.cells.binary_search(&hit.index).is_err(),
             contributor: known.cells.insert(hit.index as usize),
@@ -62,7 +62,7 @@ impl Ledger {
         let new = share.cells.iter().zip(&cells).filter(|(_, news)| news.pass).map(|(hit, _)| hit.index);
         votes.cells.extend(new);
         votes.cells.sort_unstable();
-        self.passes.insert(pass, Kept::of(&votes));
+        self.passes.insert(pass, EncodedVotes::of(&votes));
         self.close_oldest(MAX_VOTES);
         News { cells, observed, supported }
     }
@@ -78,7 +78,7 @@ impl Ledger {
         if let Some((newest, _)) = self.passes.last_key_value() {
             self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
         }
-        let size = |kept: &Kept| kept.cells() + OBSERVED_VOTES;
+        let size = |kept: &EncodedVotes| kept.cells() + OBSERVED_VOTES;
         let mut held: usize = self.passes.values().map(size).sum();
         while held > max_votes
             && let Some((_, closed)) = self.passes.pop_first()
@@ -99,7 +99,7 @@ impl Ledger {
     }
 
     /// Passes and what they said, in order.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (Pass, &Kept)> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Pass, &EncodedVotes)> {
         self.passes.iter().map(|(pass, kept)| (*pass, kept))
     }
 
@@ -110,8 +110,8 @@ impl Ledger {
     }
 }
 
-impl FromIterator<(Pass, Kept)> for Ledger {
-    fn from_iter<I: IntoIterator<Item = (Pass, Kept)>>(iter: I) -> Self {
+impl FromIterator<(Pass, EncodedVotes)> for Ledger {
+    fn from_iter<I: IntoIterator<Item = (Pass, EncodedVotes)>>(iter: I) -> Self {
         Self { passes: iter.into_iter().collect() }
     }
 }
@@ -159,8 +159,8 @@ mod tests {
     use super::super::tests::hits;
     use super::*;
 
-    fn share(cells: impl IntoIterator<Item = u32>) -> Share {
-        Share::of_hits(hits(&cells.into_iter().map(|index| (index, 1)).collect()))
+    fn share(cells: impl IntoIterator<Item = u32>) -> TileEvidence {
+        TileEvidence::of_hits(hits(&cells.into_iter().map(|index| (index, 1)).collect()))
     }
 
     /// What is new about cells, as (pass, contributor).

@@ -70,7 +70,7 @@ impl Tile {
 mod tests {
     use super::super::tests::{folded, hits, uploads};
     use super::*;
-    use crate::evidence::{Pass, Share, presence};
+    use crate::evidence::{Pass, TileEvidence, presence};
     use proptest::prelude::*;
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn all_is_served_when_one_contributor_is_enough() {
-        let share = Share::of_hits(hits(&[(3, 1), (90, 2)].into()));
+        let share = TileEvidence::of_hits(hits(&[(3, 1), (90, 2)].into()));
         let (tile, _) = folded(&[(Pass { day: 20_000, contributor: 1 }, share)]);
         assert_eq!(tile.published(1, None, &Decay::default()), tile);
     }

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::evidence::presence::{self, ALWAYS, MEMORY};
-use crate::evidence::{CellHits, Pass, Share, VIEW_BLOCK_CELLS, ViewBlocks};
+use crate::evidence::{CellHits, Pass, TileEvidence, VIEW_BLOCK_CELLS, ViewBlocks};
 
 /// Hits as (index, count), made into what a share holds.
 pub(crate) fn hits(cells: &BTreeMap<u32, u32>) -> Vec<CellHits> {
@@ -15,17 +15,17 @@ pub(crate) fn hits(cells: &BTreeMap<u32, u32>) -> Vec<CellHits> {
 }
 
 /// Uploads of few contributors on few days, so that they meet: fewer passes than make a cell fade.
-pub(crate) fn uploads() -> impl Strategy<Value = Vec<(Pass, Share)>> {
+pub(crate) fn uploads() -> impl Strategy<Value = Vec<(Pass, TileEvidence)>> {
     let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
     let cells = prop::collection::btree_map(0..40_u32, 1..5_u32, 0..12).prop_map(|c| hits(&c));
     let share = (cells, prop::collection::vec(0..4_usize, 0..4)).prop_map(|(cells, seen)| {
-        let observed = Share::of_hits(cells.clone()).observed.union(&seen.into_iter().collect());
-        Share { cells, observed }
+        let observed = TileEvidence::of_hits(cells.clone()).observed.union(&seen.into_iter().collect());
+        TileEvidence { cells, observed }
     });
     prop::collection::vec((pass, share), 1..10)
 }
 
-pub(crate) fn folded(uploads: &[(Pass, Share)]) -> (Tile, Ledger) {
+pub(crate) fn folded(uploads: &[(Pass, TileEvidence)]) -> (Tile, Ledger) {
     let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
     for (pass, share) in uploads {
         tile.fold(&mut ledger, *pass, share);
@@ -34,13 +34,13 @@ pub(crate) fn folded(uploads: &[(Pass, Share)]) -> (Tile, Ledger) {
 }
 
 /// A pass over block 0 that hits these cells.
-fn look(cells: impl IntoIterator<Item = u32>) -> Share {
+fn look(cells: impl IntoIterator<Item = u32>) -> TileEvidence {
     let cells = hits(&cells.into_iter().map(|index| (index, 1)).collect());
-    Share { cells, observed: [0].into_iter().collect() }
+    TileEvidence { cells, observed: [0].into_iter().collect() }
 }
 
 /// Passes by contributors that never come again.
-fn passes(shares: impl IntoIterator<Item = Share>) -> Tile {
+fn passes(shares: impl IntoIterator<Item = TileEvidence>) -> Tile {
     let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
     for (contributor, share) in (0..).zip(shares) {
         tile.fold(&mut ledger, Pass { day: 20_000, contributor }, &share);
@@ -55,7 +55,7 @@ fn without_presence(tile: &Tile) -> Tile {
 }
 
 /// One share that says all that others of the same pass do.
-fn together(shares: &[&Share]) -> Share {
+fn together(shares: &[&TileEvidence]) -> TileEvidence {
     let (mut cells, mut observed) = (BTreeMap::<u32, CellHits>::new(), ViewBlocks::default());
     for share in shares {
         observed = observed.union(&share.observed);
@@ -65,7 +65,7 @@ fn together(shares: &[&Share]) -> Share {
             sum.offset_sum = [0, 1].map(|axis| sum.offset_sum[axis] + hit.offset_sum[axis]);
         }
     }
-    Share { cells: cells.into_values().collect(), observed }
+    TileEvidence { cells: cells.into_values().collect(), observed }
 }
 
 proptest! {
@@ -156,7 +156,7 @@ fn a_tile_under_endless_clutter_stays_bounded() {
 
 #[test]
 fn cells_whose_block_is_not_in_view_stay_as_they_are() {
-    let far = Share { cells: hits(&[(100, 1)].into()), observed: ViewBlocks::default() };
+    let far = TileEvidence { cells: hits(&[(100, 1)].into()), observed: ViewBlocks::default() };
     let tile = passes(std::iter::once(look([3])).chain(std::iter::repeat_n(far, 50)));
     assert_eq!(tile.cells()[0], passes([look([3])]).cells()[0]);
     assert_eq!(tile.observed()[view_block(100)], 50, "a hit block was in view, said or not");

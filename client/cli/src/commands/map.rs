@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use echofix_client::drivelog;
 use echofix_client::upload::{Config as RecorderConfig, Form};
-use echofix_core::scan::Gate;
+use echofix_core::gate::Gate;
 
 use super::ScanRange;
 use super::map_operations::{self, Operation};

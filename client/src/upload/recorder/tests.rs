@@ -217,9 +217,8 @@ fn evidence_is_what_the_scans_would_have_come_to() {
             poses: wire::poses_from(chunk.poses.as_ref().unwrap(), header.reference_time_us).unwrap(),
             scans: wire::scans_from(chunk.scans.as_ref().unwrap(), header.reference_time_us).unwrap(),
         };
-        let submission =
-            Submission { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
-        let expected = contribute(submission, &config.limits()).unwrap().contribution;
+        let raw = RawUpload { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
+        let expected = build_evidence(raw, &config.evidence()).unwrap().delta;
         assert_eq!(gathered.evidence().unwrap(), expected);
         assert_eq!(gathered.detections(), sent.detections());
         let header = gathered.header().unwrap();

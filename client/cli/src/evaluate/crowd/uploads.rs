@@ -2,7 +2,7 @@
 
 use echofix_client::upload::Config;
 use echofix_core::drive::{Drive, GeoPose};
-use echofix_core::evidence::{Contribution, Gathering, Pass, SENT_STEPS};
+use echofix_core::evidence::{EvidenceAccumulator, EvidenceDelta, Pass, SENT_STEPS};
 use echofix_core::geo::{Grid, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -16,7 +16,7 @@ pub struct Upload {
     /// Whose it is, and of which day.
     pub pass: Pass,
     /// What it tells.
-    pub contribution: Contribution,
+    pub contribution: EvidenceDelta,
 }
 
 /// What a vehicle sends of its drives.
@@ -101,7 +101,7 @@ fn upload(
     let scale = grid.scale_factor(poses[0].at)?;
     // Movers are gone already, and odometry told them better than absolute poses would.
     let gate = Movers::Kept.gate();
-    let mut gathering = Gathering::with_steps(steps);
+    let mut gathering = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
         gathering.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
     let contribution = gathering.finish(placed);
