@@ -20,12 +20,12 @@
 //! which tile was used when: time is what the sensors say.
 //!
 //! ```no_run
-//! use echofix_client::service::Service;
-//! use echofix_client::vehicle::{Config, Vehicle};
+//! use echofix_client::service::ServiceAddress;
+//! use echofix_client::vehicle::{Vehicle, VehicleConfig};
 //! use echofix_client::{Localizer, LocalizerOptions};
 //! # async fn drive(mounts: Vec<echofix_core::scan::Mount>) -> Result<(), Box<dyn std::error::Error>> {
-//! let localizer = Localizer::new(Service::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
-//! let mut vehicle = Vehicle::new(Config::default(), mounts);
+//! let localizer = Localizer::new(ServiceAddress::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
+//! let mut vehicle = Vehicle::new(VehicleConfig::default(), mounts);
 //! // vehicle.push_odometry(..), vehicle.push_scan(..), vehicle.push_pose(..), then once a second:
 //! let question = vehicle.question()?;
 //! let answer = localizer.ask(&question).await?;
@@ -49,4 +49,4 @@ pub mod upload;
 pub mod vehicle;
 pub mod wire;
 
-pub use localizer::{Localizer, Options as LocalizerOptions};
+pub use localizer::{Localizer, LocalizerOptions};

@@ -10,7 +10,7 @@ use tonic_types::StatusExt;
 /// no use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum RefusalReason {
     /// The map holds nothing around the prior.
     NoMap,
     /// Taken too slowly: clutter dominates near standstill.
@@ -31,7 +31,7 @@ pub enum Refusal {
     Other(String),
 }
 
-impl Refusal {
+impl RefusalReason {
     /// The refusal of a `google.rpc.ErrorInfo` reason.
     #[must_use]
     pub fn from_reason(reason: &str) -> Self {
@@ -65,7 +65,7 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for RefusalReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.reason())
     }
@@ -73,7 +73,7 @@ impl fmt::Display for Refusal {
 
 /// A field of a request that the service found malformed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Violation {
+pub struct FieldViolation {
     /// Path of the field, for instance `batch.scans.range_m`.
     pub field: String,
     /// What is wrong with it.
@@ -88,7 +88,7 @@ pub enum CallError {
     #[error("the service refuses ({reason}): {message}")]
     Refused {
         /// The reason.
-        reason: Refusal,
+        reason: RefusalReason,
         /// The service's words.
         message: String,
     },
@@ -96,7 +96,7 @@ pub enum CallError {
     #[error("the service calls the request malformed: {message} {}", in_words(.violations))]
     Invalid {
         /// The fields at fault.
-        violations: Vec<Violation>,
+        violations: Vec<FieldViolation>,
         /// The service's words.
         message: String,
     },
@@ -159,7 +159,7 @@ impl From<&Status> for CallError {
         match status.code() {
             Code::FailedPrecondition => {
                 let info = status.get_details_error_info();
-                let reason = Refusal::from_reason(&info.map(|i| i.reason).unwrap_or_default());
+                let reason = RefusalReason::from_reason(&info.map(|i| i.reason).unwrap_or_default());
                 Self::Refused { reason, message }
             }
             Code::InvalidArgument => Self::Invalid { violations: violations(status), message },
@@ -178,13 +178,13 @@ impl From<&Status> for CallError {
     }
 }
 
-fn violations(status: &Status) -> Vec<Violation> {
+fn violations(status: &Status) -> Vec<FieldViolation> {
     let details = status.get_details_bad_request();
     let fields = details.map(|bad| bad.field_violations).unwrap_or_default();
-    fields.into_iter().map(|f| Violation { field: f.field, description: f.description }).collect()
+    fields.into_iter().map(|f| FieldViolation { field: f.field, description: f.description }).collect()
 }
 
-fn in_words(violations: &[Violation]) -> String {
+fn in_words(violations: &[FieldViolation]) -> String {
     let each: Vec<_> = violations.iter().map(|v| format!("[{}: {}]", v.field, v.description)).collect();
     each.join(" ")
 }
@@ -210,11 +210,11 @@ mod tests {
             let status = Status::with_error_details(Code::FailedPrecondition, "no", details);
             let error = CallError::from(&status);
             let CallError::Refused { reason: typed, .. } = &error else { panic!("{error}") };
-            assert!(!matches!(typed, Refusal::Other(_)), "{reason}");
+            assert!(!matches!(typed, RefusalReason::Other(_)), "{reason}");
             assert_eq!(typed.reason(), reason);
             assert!(!error.is_transient());
         }
-        assert_eq!(Refusal::from_reason("NEW"), Refusal::Other("NEW".into()));
+        assert_eq!(RefusalReason::from_reason("NEW"), RefusalReason::Other("NEW".into()));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A drive asks where it is; errors against the truth, percentiles.
 
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::vehicle::{Config, Vehicle};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::vehicle::{Vehicle, VehicleConfig};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::geo::Grid;
 use echofix_core::odometry::Trajectory;
@@ -38,13 +38,13 @@ pub struct Case {
 pub fn cases(drive: &Drive, every_s: f64, sigma: Sigma, seed: u64) -> Vec<Case> {
     let truth = Truth::of(drive);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut vehicle = Vehicle::new(Config::default(), drive.mounts.clone());
+    let mut vehicle = Vehicle::new(VehicleConfig::default(), drive.mounts.clone());
     let begin_us = drive.scans.first().expect("the drive has scans").time_us;
     let (mut cases, mut next_us) = (Vec::new(), begin_us + 5_000_000);
     for event in replay(drive) {
         match event {
-            Event::Scan(scan) => vehicle.push_scan(scan.clone()).expect("a simulated scan is sound"),
-            Event::Odometry(now_us, pose) => {
+            DriveEvent::Scan(scan) => vehicle.push_scan(scan.clone()).expect("a simulated scan is sound"),
+            DriveEvent::Odometry(now_us, pose) => {
                 vehicle.push_odometry(now_us, pose).expect("odometry is in order");
                 if now_us < next_us {
                     continue;
@@ -54,7 +54,7 @@ pub fn cases(drive: &Drive, every_s: f64, sigma: Sigma, seed: u64) -> Vec<Case> 
                     truth.at(now_us).and_then(|now| case(&mut vehicle, now, &truth, sigma, &mut rng)),
                 );
             }
-            Event::Reference(_) | Event::Truth(_) => {}
+            DriveEvent::Reference(_) | DriveEvent::Truth(_) => {}
         }
     }
     cases

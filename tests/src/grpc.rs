@@ -13,7 +13,7 @@ use crate::service::Service;
 
 /// Connects to the vehicles' port.
 pub async fn connect(service: &Service) -> Channel {
-    let endpoint = service::Service::at(&service.grpc).endpoint().expect("the address is one");
+    let endpoint = service::ServiceAddress::at(&service.grpc).endpoint().expect("the address is one");
     endpoint.connect().await.unwrap_or_else(|error| panic!("cannot connect to {}: {error}", service.grpc))
 }
 
@@ -35,7 +35,10 @@ pub async fn reading(service: &Service) -> MapServiceClient<Channel> {
 /// The vehicle library's localizer, more patient than a vehicle.
 pub fn localizer(service: &Service) -> Localizer {
     let options = LocalizerOptions { deadline: Duration::from_secs(30), ..LocalizerOptions::default() };
-    Localizer::new(service::Service::at(&service.grpc).endpoint().expect("the address is one"), options)
+    Localizer::new(
+        service::ServiceAddress::at(&service.grpc).endpoint().expect("the address is one"),
+        options,
+    )
 }
 
 /// The reason of a `FAILED_PRECONDITION`, in the service's domain.

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::upload::{Config, Form, Recorder, Upload};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::upload::{PreparedUpload, Recorder, RecorderConfig, UploadForm};
 use echofix_core::drive::Drive;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
@@ -14,33 +14,35 @@ use crate::service::Service;
 use crate::{grpc, http, until};
 
 /// How drives are recorded here: the vehicle's way, but to their very ends, for the town is small.
-pub fn whole() -> Config {
-    Config { trim_ends_m: 0.0, ..Config::default() }
+pub fn whole() -> RecorderConfig {
+    RecorderConfig { trim_ends_m: 0.0, ..RecorderConfig::default() }
 }
 
 /// A drive as the uploads the vehicle's recorder makes of it.
-pub fn uploads(drive: &Drive) -> Vec<Upload> {
+pub fn uploads(drive: &Drive) -> Vec<PreparedUpload> {
     uploads_as(drive, whole())
 }
 
 /// The same as scans.
-pub fn scan_uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, Config { form: Form::Scans, ..whole() })
+pub fn scan_uploads(drive: &Drive) -> Vec<PreparedUpload> {
+    uploads_as(drive, RecorderConfig { form: UploadForm::Scans, ..whole() })
 }
 
 /// The same, recorded in some other way.
-pub fn uploads_as(drive: &Drive, config: Config) -> Vec<Upload> {
+pub fn uploads_as(drive: &Drive, config: RecorderConfig) -> Vec<PreparedUpload> {
     let mut recorder =
         Recorder::new(config, &drive.vehicle, drive.mounts.clone()).expect("the vehicle has a name");
     let mut uploads = Vec::new();
     for event in replay(drive) {
         match event {
-            Event::Odometry(time_us, pose) => {
+            DriveEvent::Odometry(time_us, pose) => {
                 recorder.push_odometry(time_us, pose).expect("odometry is in order");
             }
-            Event::Scan(scan) => recorder.push_scan(scan.clone()).expect("a simulated scan is sound"),
-            Event::Reference(pose) => uploads.extend(recorder.push_pose(*pose).expect("poses are in order")),
-            Event::Truth(_) => {}
+            DriveEvent::Scan(scan) => recorder.push_scan(scan.clone()).expect("a simulated scan is sound"),
+            DriveEvent::Reference(pose) => {
+                uploads.extend(recorder.push_pose(*pose).expect("poses are in order"))
+            }
+            DriveEvent::Truth(_) => {}
         }
     }
     uploads.extend(recorder.finish());

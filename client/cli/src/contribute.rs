@@ -5,10 +5,10 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::service::Service;
-use echofix_client::upload::spool::{Limits, Spool};
-use echofix_client::upload::{Config as RecorderConfig, Options, Recorder, Uploader};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::service::ServiceAddress;
+use echofix_client::upload::spool::{Spool, SpoolLimits};
+use echofix_client::upload::{Recorder, RecorderConfig, Uploader, UploaderOptions};
 use echofix_core::drive::Drive;
 use echofix_core::gate::Dropped;
 use indicatif::ProgressBar;
@@ -87,23 +87,23 @@ pub async fn upload(
             drive.vehicle
         );
     }
-    let spool = Spool::open(spool, Limits::default()).context("opening the upload spool")?;
-    let uploader = Uploader::start(Service::at(server).endpoint()?, spool, Options::default());
+    let spool = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
+    let uploader = Uploader::start(ServiceAddress::at(server).endpoint()?, spool, UploaderOptions::default());
     let mut recorder = Recorder::new(config, &drive.vehicle, drive.mounts.clone())?;
     let mut done = Contributed::default();
     let mut submitted = Vec::new();
     for event in replay(drive) {
         let upload = match event {
-            Event::Odometry(time_us, pose) => {
+            DriveEvent::Odometry(time_us, pose) => {
                 recorder.push_odometry(time_us, pose)?;
                 None
             }
-            Event::Reference(pose) => recorder.push_pose(*pose)?,
-            Event::Scan(scan) => {
+            DriveEvent::Reference(pose) => recorder.push_pose(*pose)?,
+            DriveEvent::Scan(scan) => {
                 recorder.push_scan(scan.clone())?;
                 None
             }
-            Event::Truth(_) => None,
+            DriveEvent::Truth(_) => None,
         };
         submitted.extend(upload);
     }

@@ -3,7 +3,7 @@
 
 use std::error::Error;
 
-use echofix_client::filter::{Config, FixMeasurement, PriorSource};
+use echofix_client::filter::{FilterConfig, FixMeasurement, PriorSource};
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Grid, LatLon};
 use echofix_core::odometry::Trajectory;
@@ -46,7 +46,7 @@ pub struct Arrival {
 }
 
 /// One drive.
-pub struct Drive {
+pub struct SimulatedDrive {
     /// One pose a tick.
     pub truth: Vec<GeoPose>,
     /// Of the same times.
@@ -57,19 +57,19 @@ pub struct Drive {
 
 /// The drive of a seed, with fixes that measure this far back into their batch, as a share of it
 /// (`FixNoise::middle`).
-pub fn drive(seed: u64, middle: f64) -> Result<Drive, Box<dyn Error>> {
+pub fn drive(seed: u64, middle: f64) -> Result<SimulatedDrive, Box<dyn Error>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let truth = integrated(&motion(&mut rng));
     let odometry = odometry(&truth, &mut rng);
     let fixes = fixes(&truth, &odometry, middle, &mut rng)?;
     let town = Town::new()?;
     let truth = truth.iter().map(|at| town.geodetic(at)).collect::<Result<_, _>>()?;
-    Ok(Drive { truth, odometry: Trajectory::new(odometry)?, fixes })
+    Ok(SimulatedDrive { truth, odometry: Trajectory::new(odometry)?, fixes })
 }
 
-impl Drive {
+impl SimulatedDrive {
     /// Drives it, judged five times a second from the filter's first estimate on.
-    pub fn compare(&self, config: Config) -> Result<Comparison, Box<dyn Error>> {
+    pub fn compare(&self, config: FilterConfig) -> Result<Comparison, Box<dyn Error>> {
         let mut comparison = Comparison::new(config);
         let mut fixes = self.fixes.iter().peekable();
         for (tick, ((time_us, odometry), truth)) in self.odometry.iter().zip(&self.truth).enumerate() {

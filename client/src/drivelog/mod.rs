@@ -13,7 +13,7 @@ mod replay;
 pub mod tables;
 
 pub use self::mcap::topic;
-pub use replay::{Event, replay};
+pub use replay::{DriveEvent, replay};
 
 use std::io;
 use std::path::{Path, PathBuf};

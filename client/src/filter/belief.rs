@@ -3,10 +3,10 @@
 use echofix_core::pose::{Pose2, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::config::Config;
+use super::config::FilterConfig;
 use super::local_fix::LocalFix;
 use super::measurement::{MAX_SIGMA_M, MAX_SIGMA_RAD};
-use super::step::Step;
+use super::step::OdometryStep;
 
 type Vector = SVector<f64, 11>;
 type Covariance = SMatrix<f64, 11, 11>;
@@ -39,7 +39,7 @@ pub(super) struct Innovation {
 
 impl Belief {
     /// What a first fix alone tells.
-    pub(super) fn from_fix(fix: &LocalFix, config: &Config) -> Self {
+    pub(super) fn from_fix(fix: &LocalFix, config: &FilterConfig) -> Self {
         let (odometry, fixes) = (config.odometry, config.fixes);
         let sigma = [
             // Nothing is known yet. Larger would only cost digits.
@@ -65,7 +65,7 @@ impl Belief {
     }
 
     /// The belief after a way; `None` once it is too vague to be one.
-    pub(super) fn carried(&self, step: &Step, config: &Config) -> Option<Self> {
+    pub(super) fn carried(&self, step: &OdometryStep, config: &FilterConfig) -> Option<Self> {
         let (moved, turning_s) = (step.moved, step.turning_s());
         let (sin, cos) = self.mean[YAW].sin_cos();
         let (ahead_x, ahead_y) = (cos * moved.x_m - sin * moved.y_m, sin * moved.x_m + cos * moved.y_m);

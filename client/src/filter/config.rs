@@ -2,7 +2,7 @@
 
 /// How a [`Filter`](super::Filter) models, gates and remembers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
+pub struct FilterConfig {
     /// How odometry errs.
     pub odometry: OdometryNoise,
     /// How fixes err together.
@@ -22,7 +22,7 @@ pub struct Config {
     pub max_speed_mps: f64,
 }
 
-impl Default for Config {
+impl Default for FilterConfig {
     fn default() -> Self {
         Self {
             odometry: OdometryNoise::default(),

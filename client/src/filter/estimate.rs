@@ -2,12 +2,12 @@
 
 use echofix_core::drive::GeoPose;
 
-use super::frame::Frame;
+use super::plane::LocalPlane;
 use super::track::Track;
 
 /// Where the vehicle is, at the time of the newest odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
+pub struct FilterEstimate {
     /// The pose of the body, with the sigmas of `covariance`.
     pub pose: GeoPose,
     /// Covariance of (east m, north m, yaw rad): upper triangle row by row.
@@ -22,9 +22,9 @@ pub struct Estimate {
     pub odometry_yaw_rate_radps: (f64, f64),
 }
 
-impl Estimate {
+impl FilterEstimate {
     /// What a track believes; `None` while it believes nothing.
-    pub(super) fn of(time_us: i64, track: &Track, frame: &Frame) -> Option<Self> {
+    pub(super) fn of(time_us: i64, track: &Track, frame: &LocalPlane) -> Option<Self> {
         let belief = track.belief()?;
         let (at, yaw_rad) = frame.geodetic(&belief.pose()).ok()?;
         let p = belief.pose_covariance();

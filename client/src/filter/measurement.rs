@@ -54,7 +54,7 @@ impl From<&Fix> for FixMeasurement {
 /// alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub enum Outcome {
+pub enum FixOutcome {
     /// It corrected the estimate.
     Used {
         /// Normalised innovation squared: about 3 on average where the model is right.

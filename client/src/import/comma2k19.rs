@@ -7,7 +7,7 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Folder, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
 
 /// 19th Avenue, San Francisco: near where the drive was, for want of the true place.
 const NOMINAL_ORIGIN: LatLon = LatLon { lat_deg: 37.7349, lon_deg: -122.4751 };
@@ -19,7 +19,7 @@ const SIGMA_POSITION_M: f64 = 0.5;
 const SIGMA_YAW_RAD: f64 = 0.016;
 
 #[derive(Deserialize)]
-struct Track {
+struct TrackRow {
     scan_id: u64,
     t: f64,
     x_forward: f64,
@@ -45,7 +45,7 @@ struct Track {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Folder { path: folder.as_ref(), set: "comma2k19" };
+    let folder = Fragment { path: folder.as_ref(), set: "comma2k19" };
     let odometry = poses(&folder, NOMINAL_START_US)?;
     let frame = LocalFrame::at(NOMINAL_ORIGIN);
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -60,10 +60,10 @@ pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
 }
 
 /// One scan a cycle, at the time of the cycle's first message.
-fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &Fragment) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward", "y_left", "v_rel"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
-    folder.table("scans.csv")?.rows(&columns, |row: Track| {
+    folder.table("scans.csv")?.rows(&columns, |row: TrackRow| {
         if !row.v_rel.is_finite() {
             return Err("v_rel is not finite".into());
         }

@@ -7,7 +7,7 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Folder, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
 
 /// How far the poses stray from GPS/INS, RMS over the fragment, metres.
 const SIGMA_POSITION_M: f64 = 0.17;
@@ -15,7 +15,7 @@ const SIGMA_POSITION_M: f64 = 0.17;
 const SIGMA_YAW_RAD: f64 = 0.004;
 
 #[derive(Deserialize)]
-struct Point {
+struct PointRow {
     scan_id: u64,
     t: f64,
     x_forward_dsk: f64,
@@ -23,7 +23,7 @@ struct Point {
 }
 
 #[derive(Deserialize)]
-struct Gps {
+struct GpsRow {
     lat: f64,
     lon: f64,
 }
@@ -48,7 +48,7 @@ struct Gps {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Folder { path: folder.as_ref(), set: "RADIATE" };
+    let folder = Fragment { path: folder.as_ref(), set: "RADIATE" };
     let frame = LocalFrame::at(first_fix(&folder)?);
     let odometry = poses(&folder, 0)?;
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -62,9 +62,9 @@ pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
     })
 }
 
-fn first_fix(folder: &Folder) -> Result<LatLon, Error> {
+fn first_fix(folder: &Fragment) -> Result<LatLon, Error> {
     let mut first = None;
-    folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: Gps| {
+    folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: GpsRow| {
         if !(row.lat.abs() <= 90.0 && row.lon.abs() <= 180.0) {
             return Err(format!("{}, {} is not a position in degrees", row.lat, row.lon));
         }
@@ -74,10 +74,10 @@ fn first_fix(folder: &Folder) -> Result<LatLon, Error> {
     first.ok_or_else(|| folder.empty("gps_ins.csv"))
 }
 
-fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &Fragment) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward_dsk", "y_left_dsk"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
-    folder.table("scans.csv")?.rows(&columns, |row: Point| {
+    folder.table("scans.csv")?.rows(&columns, |row: PointRow| {
         if scans.last().is_none_or(|(id, _)| *id != row.scan_id) {
             scans.push((row.scan_id, Scan { time_us: micros(row.t)?, ..Scan::default() }));
         }
@@ -161,7 +161,7 @@ mod tests {
     #[ignore = "needs ECHOFIX_DATA_DIR"]
     fn our_local_frame_is_the_one_of_the_data() {
         let dir = data_dir("radiate_tiny_foggy");
-        let folder = Folder { path: &dir, set: "RADIATE" };
+        let folder = Fragment { path: &dir, set: "RADIATE" };
         let frame = LocalFrame::at(first_fix(&folder).unwrap());
         let check = |row: GpsLocal| {
             let (at, _) = frame.to_geodetic(&echofix_core::pose::Pose2::new(row.x_east, row.y_north, 0.0));

@@ -11,7 +11,7 @@ use echofix_proto::v1;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::upload::Upload;
+use crate::upload::PreparedUpload;
 use crate::wire::Columns;
 
 /// Microseconds since the Unix epoch around which tests drive.
@@ -100,8 +100,8 @@ pub(crate) fn usable_answer(time_us: i64) -> v1::LocalizeResponse {
 }
 
 /// An upload of some detections under a fresh id.
-pub(crate) fn upload(detections: usize) -> Upload {
-    let mut upload = Upload::start("test-car", &[Mount::IDENTITY], T0);
+pub(crate) fn upload(detections: usize) -> PreparedUpload {
+    let mut upload = PreparedUpload::start("test-car", &[Mount::IDENTITY], T0);
     let pose = |time_us| GeoPose { time_us, ..GeoPose::default() };
     let scan = Scan {
         time_us: T0 + 50_000,

@@ -13,7 +13,7 @@ use tonic::Streaming;
 use tonic::transport::{Channel, Endpoint};
 
 use super::assembly::{self, Assembly, Whole};
-use super::{Error, Inner, TileCache, Want};
+use super::{CacheInner, Error, TileCache, Want};
 use crate::refusal::CallError;
 
 /// The next message of an answer is waited for this long.
@@ -98,7 +98,7 @@ impl TileCache {
 
     async fn on_disk<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Inner) -> Result<T, Error> + Send + 'static,
+        work: impl FnOnce(&CacheInner) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
         let inner = Arc::clone(&self.inner);
         let done = tokio::task::spawn_blocking(move || work(&inner)).await;
@@ -115,7 +115,7 @@ async fn next(answer: &mut Streaming<GetTilesResponse>) -> Result<Part, Error> {
     part.ok_or(Error::Contract("a message holds nothing that this version knows"))
 }
 
-impl Inner {
+impl CacheInner {
     /// Keeps a tile if it can be read.
     fn keep(&self, Whole { name, encoded }: &Whole, since: u64) -> Result<u32, Error> {
         tile::decode(encoded).map_err(|source| Error::Unreadable { id: name.id, source })?;

@@ -8,7 +8,7 @@ use crate::wire::Columns;
 
 /// What of a drive is sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Form {
+pub enum UploadForm {
     /// Cells that were hit, and what was in view: small, and it tells neither when nor along which way the
     /// vehicle went.
     #[default]
@@ -19,11 +19,11 @@ pub enum Form {
 
 /// What is recorded and how it is cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
+pub struct RecorderConfig {
     /// Which detections are kept.
     pub gate: Gate,
     /// What is sent.
-    pub form: Form,
+    pub form: UploadForm,
     /// Of scans, which columns are sent. Movers are dropped here, so the geometry is enough.
     pub columns: Columns,
     /// Poses less well known than this are not mapped from, metres (one sigma an axis).
@@ -44,11 +44,11 @@ pub struct Config {
     pub trim_ends_m: f64,
 }
 
-impl Default for Config {
+impl Default for RecorderConfig {
     fn default() -> Self {
         Self {
             gate: Gate::default(),
-            form: Form::Evidence,
+            form: UploadForm::Evidence,
             columns: Columns::Geometry,
             max_sigma_position_m: 0.3,
             max_sigma_yaw_rad: 0.5_f64.to_radians(),
@@ -61,7 +61,7 @@ impl Default for Config {
     }
 }
 
-impl Config {
+impl RecorderConfig {
     /// What the poses of a segment must fulfil. Jumps are left to the build of evidence.
     pub(super) fn segments(&self) -> SegmentLimits {
         SegmentLimits {

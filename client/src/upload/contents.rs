@@ -20,16 +20,16 @@ const CHUNK_BYTES: usize = 16 << 10;
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("not an upload: {0}")]
-pub struct Damaged(pub(super) &'static str);
+pub struct DamagedUpload(pub(super) &'static str);
 
 /// A stretch of a drive, ready to be sent; it keeps its id for ever.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Upload {
+pub struct PreparedUpload {
     id: Uuid,
     parts: Vec<v1::UploadRequest>,
 }
 
-impl Upload {
+impl PreparedUpload {
     /// An upload under a fresh id, without chunks yet.
     pub(crate) fn start(contributor: &str, mounts: &[Mount], reference_time_us: i64) -> Self {
         // Version 7 ids sort by time: the spool's order is the order of the drive.
@@ -149,15 +149,15 @@ impl Upload {
         self.parts.iter().flat_map(Message::encode_length_delimited_to_vec).collect()
     }
 
-    pub(super) fn decode(mut bytes: &[u8]) -> Result<Self, Damaged> {
+    pub(super) fn decode(mut bytes: &[u8]) -> Result<Self, DamagedUpload> {
         let mut parts = Vec::new();
         while !bytes.is_empty() {
             let part = v1::UploadRequest::decode_length_delimited(&mut bytes);
-            parts.push(part.map_err(|_| Damaged("a message does not decode"))?);
+            parts.push(part.map_err(|_| DamagedUpload("a message does not decode"))?);
         }
         let upload = Self { id: Uuid::nil(), parts };
-        let header = upload.header().ok_or(Damaged("it does not begin with a header"))?;
-        let id = Uuid::parse_str(&header.upload_id).map_err(|_| Damaged("its id is not a UUID"))?;
+        let header = upload.header().ok_or(DamagedUpload("it does not begin with a header"))?;
+        let id = Uuid::parse_str(&header.upload_id).map_err(|_| DamagedUpload("its id is not a UUID"))?;
         Ok(Self { id, ..upload })
     }
 }
@@ -200,8 +200,8 @@ mod tests {
         Scan { time_us, range_m: vec![5.0; detections], azimuth_rad, ..Scan::default() }
     }
 
-    fn upload(scans: &[Scan]) -> Upload {
-        let mut upload = Upload::start("car", &[Mount::IDENTITY], T0);
+    fn upload(scans: &[Scan]) -> PreparedUpload {
+        let mut upload = PreparedUpload::start("car", &[Mount::IDENTITY], T0);
         upload.add(&poses(), scans, Columns::Geometry);
         upload
     }
@@ -248,8 +248,8 @@ mod tests {
     fn bytes_come_back_as_the_same_upload() {
         let upload = upload(&[scan(T0 + 10, 20)]);
         let bytes = upload.encode();
-        assert_eq!(Upload::decode(&bytes), Ok(upload));
-        assert!(Upload::decode(&bytes[..bytes.len() - 1]).is_err());
-        assert!(Upload::decode(&[]).is_err());
+        assert_eq!(PreparedUpload::decode(&bytes), Ok(upload));
+        assert!(PreparedUpload::decode(&bytes[..bytes.len() - 1]).is_err());
+        assert!(PreparedUpload::decode(&[]).is_err());
     }
 }

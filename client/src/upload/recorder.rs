@@ -9,10 +9,10 @@ use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 
-use super::{Config, Form, Upload, segment};
+use super::{PreparedUpload, RecorderConfig, UploadForm, segment};
 
 const DAY_US: i64 = 86_400_000_000;
-/// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
+/// Who stays near one place this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 
 /// Why a measurement is not recorded.
@@ -57,7 +57,7 @@ pub enum Error {
 /// Turns one trip into uploads; no clock, no files.
 #[derive(Debug, Clone)]
 pub struct Recorder {
-    config: Config,
+    config: RecorderConfig,
     contributor: String,
     mounts: Vec<Mount>,
     /// Poses since the last cut (the first is the cut), and the metres travelled until each.
@@ -75,7 +75,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the pseudonym has not 1 to 64 characters.
-    pub fn new(config: Config, contributor: &str, mounts: Vec<Mount>) -> Result<Self, Error> {
+    pub fn new(config: RecorderConfig, contributor: &str, mounts: Vec<Mount>) -> Result<Self, Error> {
         if !(1..=64).contains(&contributor.chars().count()) {
             return Err(Error::Contributor(contributor.to_owned()));
         }
@@ -126,7 +126,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the pose is not newer than the last one, not a pose or not on the map.
-    pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<Upload>, Error> {
+    pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<PreparedUpload>, Error> {
         check(&pose)?;
         self.append(pose)?;
         if let Some(start) = self.start {
@@ -152,7 +152,7 @@ impl Recorder {
 
     /// Ends the trip; returns what is left of it.
     #[must_use]
-    pub fn finish(mut self) -> Option<Upload> {
+    pub fn finish(mut self) -> Option<PreparedUpload> {
         if self.poses.is_empty() || self.start.is_some_and(|_| self.config.trim_ends_m > 0.0) {
             return None;
         }
@@ -189,7 +189,7 @@ impl Recorder {
     }
 
     /// Makes an upload of everything up to a pose, with which the next one begins.
-    fn cut_at(&mut self, cut: usize) -> Option<Upload> {
+    fn cut_at(&mut self, cut: usize) -> Option<PreparedUpload> {
         let poses: Vec<GeoPose> = self.poses[..=cut].iter().map(|(pose, _)| *pose).collect();
         let (first_us, last_us) = (poses.first()?.time_us, poses.last()?.time_us);
         let mut raw = RawUpload { mounts: self.mounts.clone(), chunks: Vec::new() };
@@ -206,13 +206,15 @@ impl Recorder {
     }
 
     /// The upload in the form that is sent; `None` when nothing is left to map.
-    fn upload_of(&mut self, raw: RawUpload, first_us: i64) -> Option<Upload> {
+    fn upload_of(&mut self, raw: RawUpload, first_us: i64) -> Option<PreparedUpload> {
         let mut upload = match self.config.form {
-            Form::Scans => Upload::start(&self.contributor, &self.mounts, first_us),
+            UploadForm::Scans => PreparedUpload::start(&self.contributor, &self.mounts, first_us),
             // Evidence tells the day only.
-            Form::Evidence => Upload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US)),
+            UploadForm::Evidence => {
+                PreparedUpload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US))
+            }
         };
-        if self.config.form == Form::Scans {
+        if self.config.form == UploadForm::Scans {
             for Chunk { poses, scans } in &raw.chunks {
                 upload.add(poses, scans, self.config.columns);
             }

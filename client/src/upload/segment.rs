@@ -6,7 +6,7 @@ use echofix_core::geo::{self, Grid};
 use echofix_core::odometry::{BodyVelocity, Trajectory};
 use echofix_core::scan::{Mount, Scan};
 
-use super::config::Config;
+use super::config::RecorderConfig;
 
 /// The detections within a segment that can be mapped; `odometry`, where it covers a scan, gives the velocity
 /// more accurately than the poses' differences do.
@@ -15,7 +15,7 @@ pub(super) fn gated(
     scans: &[Scan],
     mounts: &[Mount],
     odometry: &Trajectory,
-    config: &Config,
+    config: &RecorderConfig,
     dropped: &mut Dropped,
 ) -> Vec<Scan> {
     let way = on_the_grid(segment).unwrap_or_default();

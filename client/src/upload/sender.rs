@@ -14,7 +14,7 @@ use tonic::transport::{Channel, Endpoint};
 use uuid::Uuid;
 
 use super::spool::{self, Spool};
-use super::{Options, Progress, Upload};
+use super::{PreparedUpload, UploadProgress, UploaderOptions};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
 
@@ -27,8 +27,8 @@ enum Trouble {
 pub(super) struct Sender {
     pub spool: Arc<Spool>,
     pub endpoint: Endpoint,
-    pub options: Options,
-    pub progress: watch::Sender<Progress>,
+    pub options: UploaderOptions,
+    pub progress: watch::Sender<UploadProgress>,
     /// Turns true when the uploader closes.
     pub stop: watch::Receiver<bool>,
 }
@@ -118,7 +118,7 @@ impl Sender {
         MappingServiceClient::new(self.endpoint.connect_lazy())
     }
 
-    fn advance(&self, change: impl FnOnce(&mut Progress)) {
+    fn advance(&self, change: impl FnOnce(&mut UploadProgress)) {
         self.progress.send_modify(|progress| {
             change(progress);
             progress.observe(&self.spool);
@@ -154,7 +154,7 @@ pub(super) async fn on_disk<T: Send + 'static>(
 
 async fn send(
     client: &mut MappingServiceClient<Channel>,
-    upload: Upload,
+    upload: PreparedUpload,
     patience: Duration,
 ) -> Result<v1::UploadResponse, CallError> {
     let id = upload.id().to_string();

@@ -16,7 +16,7 @@ mod config;
 mod verdict;
 mod window;
 
-pub use config::{AlertLimits, Config, Drift};
+pub use config::{AlertLimits, DriftModel, VehicleConfig};
 pub use verdict::{Fix, Rejection};
 
 use echofix_core::doppler::dedrift::dedrifted;
@@ -31,7 +31,7 @@ use echofix_proto::v1;
 
 use crate::wire::{self, Columns};
 use anchor::Anchor;
-use window::Window;
+use window::ScanWindow;
 
 /// Why a measurement is not taken.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -99,7 +99,7 @@ pub enum NotReady {
 
 /// A request, and what ties its answer to the vehicle's odometry.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Question {
+pub struct LocalizationQuestion {
     /// What is sent.
     pub request: v1::LocalizeRequest,
     time_us: i64,
@@ -107,7 +107,7 @@ pub struct Question {
     odometry: (Pose2, f64),
 }
 
-impl Question {
+impl LocalizationQuestion {
     /// The time asked for, microseconds since the Unix epoch: the newest scan that odometry covers.
     #[must_use]
     pub fn time_us(&self) -> i64 {
@@ -117,8 +117,8 @@ impl Question {
 
 /// The pose believed, carried to the newest odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Position {
-    /// The pose, its sigmas grown by [`Drift`].
+pub struct VehiclePosition {
+    /// The pose, its sigmas grown by [`DriftModel`].
     pub pose: GeoPose,
     /// Seconds since the pose of the last fix; `None` before the first.
     pub fix_age_s: Option<f64>,
@@ -127,8 +127,8 @@ pub struct Position {
 /// One vehicle: its window, and where it believes to be.
 #[derive(Debug, Clone)]
 pub struct Vehicle {
-    config: Config,
-    window: Window,
+    config: VehicleConfig,
+    window: ScanWindow,
     anchor: Option<Anchor>,
     /// A pose from outside that odometry does not cover yet.
     ahead: Option<GeoPose>,
@@ -138,8 +138,8 @@ pub struct Vehicle {
 impl Vehicle {
     /// A vehicle with these radars.
     #[must_use]
-    pub fn new(config: Config, mounts: Vec<Mount>) -> Self {
-        Self { config, window: Window::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
+    pub fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
+        Self { config, window: ScanWindow::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
     }
 
     /// Takes a scan; scans of several radars may come slightly out of order, and may run ahead of
@@ -188,7 +188,7 @@ impl Vehicle {
     ///
     /// # Errors
     /// What is missing.
-    pub fn question(&self) -> Result<Question, NotReady> {
+    pub fn question(&self) -> Result<LocalizationQuestion, NotReady> {
         if self.window.odometry().is_empty() {
             return Err(NotReady::NoOdometry);
         }
@@ -219,14 +219,18 @@ impl Vehicle {
                 alert_limit_m: self.config.alert_limits.on_the_wire_m(),
             }),
         };
-        Ok(Question { request, time_us, odometry })
+        Ok(LocalizationQuestion { request, time_us, odometry })
     }
 
     /// Judges the answer to a question; one that may be used becomes the pose believed.
     ///
     /// # Errors
     /// Why the answer is not used; the pose believed stays as it was.
-    pub fn accept(&mut self, question: &Question, answer: &v1::LocalizeResponse) -> Result<Fix, Rejection> {
+    pub fn accept(
+        &mut self,
+        question: &LocalizationQuestion,
+        answer: &v1::LocalizeResponse,
+    ) -> Result<Fix, Rejection> {
         if self.last_fix_us.is_some_and(|fix_us| question.time_us <= fix_us) {
             return Err(Rejection::Superseded);
         }
@@ -240,11 +244,11 @@ impl Vehicle {
     /// Where the vehicle believes to be at the newest odometry pose; `None` without a pose to
     /// start from.
     #[must_use]
-    pub fn position(&self) -> Option<Position> {
+    pub fn position(&self) -> Option<VehiclePosition> {
         let (now_us, _) = self.window.odometry().last()?;
         let pose = self.anchor?.carried(now_us, self.window.at(now_us)?, &self.config.drift).ok()?;
         let fix_age_s = self.last_fix_us.map(|fix_us| (now_us - fix_us) as f64 * 1e-6);
-        Some(Position { pose, fix_age_s })
+        Some(VehiclePosition { pose, fix_age_s })
     }
 
     /// Detections dropped by the gates since the beginning, by the reason.

@@ -5,12 +5,12 @@ use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 
-use super::{Config, Error};
+use super::{Error, VehicleConfig};
 
 /// The last seconds of a drive.
 #[derive(Debug, Clone)]
-pub(super) struct Window {
-    config: Config,
+pub(super) struct ScanWindow {
+    config: VehicleConfig,
     mounts: Vec<Mount>,
     odometry: Trajectory,
     /// Metres travelled from the very first pose to the newest.
@@ -22,8 +22,8 @@ pub(super) struct Window {
     dropped: Dropped,
 }
 
-impl Window {
-    pub(super) fn new(config: Config, mounts: Vec<Mount>) -> Self {
+impl ScanWindow {
+    pub(super) fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
         Self {
             config,
             mounts,
@@ -156,8 +156,8 @@ mod tests {
     use super::*;
     use crate::testing::T0;
 
-    fn window() -> Window {
-        Window::new(Config::default(), vec![Mount::IDENTITY; 2])
+    fn window() -> ScanWindow {
+        ScanWindow::new(VehicleConfig::default(), vec![Mount::IDENTITY; 2])
     }
 
     fn scan(sensor: usize, time_us: i64) -> Scan {
@@ -165,7 +165,7 @@ mod tests {
     }
 
     /// Straight east at a speed, a pose every 0.1 s.
-    fn drive(window: &mut Window, from: i64, to: i64, speed_mps: f64) {
+    fn drive(window: &mut ScanWindow, from: i64, to: i64, speed_mps: f64) {
         for i in from..to {
             let x_m = speed_mps * i as f64 * 0.1;
             window.push_odometry(T0 + i * 100_000, Pose2::new(x_m, 0.0, 0.0)).unwrap();
@@ -179,7 +179,7 @@ mod tests {
         for (sensor, offset_us) in [(0, 150_000), (1, 120_000), (0, 50_000), (1, 250_000)] {
             w.push_scan(scan(sensor, T0 + offset_us)).unwrap();
         }
-        let times = |w: &Window| w.scans().iter().map(|s| s.time_us - T0).collect::<Vec<_>>();
+        let times = |w: &ScanWindow| w.scans().iter().map(|s| s.time_us - T0).collect::<Vec<_>>();
         assert_eq!(times(&w), [50_000], "the others are ahead of odometry");
         drive(&mut w, 2, 4, 10.0);
         assert_eq!(times(&w), [50_000, 120_000, 150_000, 250_000]);

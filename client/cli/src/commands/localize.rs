@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
-use echofix_client::service::Service;
+use echofix_client::service::ServiceAddress;
 use echofix_client::{Localizer, LocalizerOptions, drivelog};
 
 use super::ScanRange;
@@ -95,7 +95,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
 /// When the address is not one.
 pub fn localizer(server: &str) -> anyhow::Result<Localizer> {
     let options = LocalizerOptions { deadline: Duration::from_mins(1), ..LocalizerOptions::default() };
-    Ok(Localizer::new(Service::at(server).endpoint()?, options))
+    Ok(Localizer::new(ServiceAddress::at(server).endpoint()?, options))
 }
 
 /// Writes fixes into a CSV file.

@@ -12,7 +12,7 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use echofix_client::Localizer;
 use echofix_client::refusal::CallError;
-use echofix_client::vehicle::Question;
+use echofix_client::vehicle::LocalizationQuestion;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_proto::v1::LocalizeResponse;
 use indicatif::ProgressBar;
@@ -90,7 +90,7 @@ impl Recording {
     }
 
     /// A question, in order of time.
-    pub fn question(&self, index: usize) -> &Question {
+    pub fn question(&self, index: usize) -> &LocalizationQuestion {
         &self.questions.asked[index].0
     }
 

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::vehicle::{Config, NotReady, Question, Vehicle};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::vehicle::{LocalizationQuestion, NotReady, Vehicle, VehicleConfig};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::pose::Pose2;
 use rand::SeedableRng;
@@ -16,14 +16,14 @@ use crate::contribute::LeftOut;
 
 /// What a drive asks, with the truth at those times.
 pub(super) struct Questions {
-    pub(super) asked: Vec<(Question, GeoPose)>,
+    pub(super) asked: Vec<(LocalizationQuestion, GeoPose)>,
     pub(super) not_asked: BTreeMap<String, usize>,
     pub(super) left_out: LeftOut,
 }
 
 /// The questions of a drive, with the truth at their times.
 pub(super) fn questions(drive: &Drive, truth: &Truth, plan: &Plan) -> anyhow::Result<Questions> {
-    let config = Config { window_s: plan.batch_s, ..Config::default() };
+    let config = VehicleConfig { window_s: plan.batch_s, ..VehicleConfig::default() };
     let mut vehicle = Vehicle::new(config, drive.mounts.clone());
     let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
     let mut questions = Vec::new();
@@ -31,11 +31,11 @@ pub(super) fn questions(drive: &Drive, truth: &Truth, plan: &Plan) -> anyhow::Re
     let mut next_us = drive.scans.first().map_or(0, |s| s.time_us + (plan.warm_up_s * 1e6) as i64);
     for event in replay(drive) {
         match event {
-            Event::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
-            Event::Scan(scan) => vehicle.push_scan(scan.clone())?,
-            Event::Reference(_) | Event::Truth(_) => {}
+            DriveEvent::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
+            DriveEvent::Scan(scan) => vehicle.push_scan(scan.clone())?,
+            DriveEvent::Reference(_) | DriveEvent::Truth(_) => {}
         }
-        let Event::Odometry(now_us, _) = event else { continue };
+        let DriveEvent::Odometry(now_us, _) = event else { continue };
         let Some(true_now) = truth.at(now_us) else { continue };
         if now_us < next_us {
             continue;
@@ -44,7 +44,10 @@ pub(super) fn questions(drive: &Drive, truth: &Truth, plan: &Plan) -> anyhow::Re
         vehicle.push_pose(true_now)?;
         match vehicle.question() {
             Ok(question) => {
-                if questions.last().is_some_and(|(q, _): &(Question, _)| q.time_us() >= question.time_us()) {
+                if questions
+                    .last()
+                    .is_some_and(|(q, _): &(LocalizationQuestion, _)| q.time_us() >= question.time_us())
+                {
                     continue; // No newer scan yet.
                 }
                 let Some(true_pose) = truth.at(question.time_us()) else { continue };
@@ -71,12 +74,12 @@ fn word(reason: &NotReady) -> &'static str {
 
 /// The question with a prior drawn around the truth (paper, Sec. "Test procedure").
 fn with_prior(
-    question: &Question,
+    question: &LocalizationQuestion,
     truth: &Truth,
     true_pose: &GeoPose,
     plan: &Plan,
     rng: &mut ChaCha8Rng,
-) -> anyhow::Result<Question> {
+) -> anyhow::Result<LocalizationQuestion> {
     let mut normal = || -> f64 { StandardNormal.sample(rng) };
     let exact = truth.grid.pose_from_geodetic(true_pose.at, true_pose.yaw_rad)?;
     let drawn = Pose2::new(

@@ -1,7 +1,7 @@
 //! One question, what came of it, and how far off it was.
 
 use echofix_client::refusal::CallError;
-use echofix_client::vehicle::Question;
+use echofix_client::vehicle::LocalizationQuestion;
 use echofix_core::drive::GeoPose;
 use echofix_proto::v1::{FixStatus, LocalizeResponse};
 use prost::Message;
@@ -57,7 +57,7 @@ impl Fix {
 
 /// The record of an answer or a refusal.
 pub(super) fn record(
-    question: &Question,
+    question: &LocalizationQuestion,
     truth: &Truth,
     true_pose: &GeoPose,
     answer: Result<LocalizeResponse, CallError>,

@@ -25,7 +25,7 @@ pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
     let options =
         LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD);
     let mut reader = LinearReader::new_with_options(options);
-    let mut log = Log::new(path);
+    let mut log = LogReader::new(path);
     while let Some(event) = reader.next_event() {
         match event.map_err(|e| log.damaged(e))? {
             LinearReadEvent::ReadRequest(need) => {
@@ -39,7 +39,7 @@ pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
 }
 
 /// What has been read so far.
-struct Log {
+struct LogReader {
     path: PathBuf,
     topics: HashMap<u16, String>,
     counts: HashMap<u16, u64>,
@@ -47,7 +47,7 @@ struct Log {
     drive: Drive,
 }
 
-impl Log {
+impl LogReader {
     fn new(path: &Path) -> Self {
         let (topics, counts) = (HashMap::new(), HashMap::new());
         Self { path: path.to_owned(), topics, counts, metadata: None, drive: Drive::default() }

@@ -30,7 +30,7 @@ pub(in super::super) fn read(folder: &Path) -> Result<Drive, Error> {
 fn vehicle(folder: &Path) -> Result<String, Error> {
     let mut vehicle = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     if let Some(table) = Table::find(folder, "drive.csv")? {
-        table.rows(&["vehicle"], |row: row::Vehicle| {
+        table.rows(&["vehicle"], |row: row::VehicleRow| {
             vehicle = row.vehicle;
             Ok(())
         })?;
@@ -40,7 +40,7 @@ fn vehicle(folder: &Path) -> Result<String, Error> {
 
 fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
     let mut mounts = Vec::new();
-    table.rows(&super::SENSORS, |row: row::Sensor| {
+    table.rows(&super::SENSORS, |row: row::SensorRow| {
         if row.index != mounts.len() {
             return Err(format!("expected sensor {}; sensors count from 0, one row each", mounts.len()));
         }
@@ -54,8 +54,8 @@ fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
 
 fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
     let mut scans: Vec<Scan> = Vec::new();
-    table.rows(&super::SCANS[..4], |row: row::Detection| {
-        let row::Detection { time_us, sensor, .. } = row;
+    table.rows(&super::SCANS[..4], |row: row::DetectionRow| {
+        let row::DetectionRow { time_us, sensor, .. } = row;
         if sensor >= sensors {
             return Err(format!("sensor {sensor} is not in sensors.csv, which has {sensors}"));
         }
@@ -69,7 +69,7 @@ fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
 }
 
 /// Adds a detection, minding that the optional columns are whole or empty.
-fn add(scan: &mut Scan, row: &row::Detection) -> Result<(), String> {
+fn add(scan: &mut Scan, row: &row::DetectionRow) -> Result<(), String> {
     let (range_m, azimuth_rad) = match (row.range_m, row.azimuth_rad) {
         (Some(range_m), Some(azimuth_rad)) => (range_m, azimuth_rad),
         (None, None) if scan.is_empty() => return Ok(()),
@@ -100,7 +100,7 @@ fn add(scan: &mut Scan, row: &row::Detection) -> Result<(), String> {
 
 fn odometry(table: &Table) -> Result<Trajectory, Error> {
     let mut odometry = Trajectory::default();
-    table.rows(&super::ODOMETRY, |row: row::Odometry| {
+    table.rows(&super::ODOMETRY, |row: row::OdometryRow| {
         odometry.push(row.time_us, row.pose()).map_err(|e| e.to_string())
     })?;
     Ok(odometry)
@@ -109,7 +109,7 @@ fn odometry(table: &Table) -> Result<Trajectory, Error> {
 fn poses(folder: &Path, name: &str) -> Result<Vec<GeoPose>, Error> {
     let mut poses = Vec::new();
     let Some(table) = Table::find(folder, name)? else { return Ok(poses) };
-    table.rows(&super::GEODETIC, |row: row::Geodetic| {
+    table.rows(&super::GEODETIC, |row: row::GeodeticRow| {
         let pose = GeoPose::from(&row);
         finite(is_finite(&pose))?;
         poses.push(pose);
