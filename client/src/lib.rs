@@ -1,4 +1,4 @@
-//! The vehicle's library: what drives along, and what makes, keeps and replays drives.
+//! The vehicle's library: it records, uploads and localizes, and reads, writes and replays drive logs.
 //!
 //! The rooms, in reading order:
 //!
@@ -12,9 +12,13 @@
 //! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
 //! - [`refusal`]: what a call came back with, typed.
 //! - [`backoff`]: how long to wait before asking again.
-//! - [`wire`]: between the values of [`echofix_core`] and the columns of the contract.
+//! - [`wire`]: from the values of [`echofix_core`] to the columns of the contract.
 //! - [`drivelog`]: drives on disk, as MCAP or CSV, and their replay.
-//! - [`import`]: other people's radar data as drives.
+//! - `import`: public radar data as drives.
+//!
+//! Features, both on by default: `mcap` reads and writes drive logs as MCAP files; `csv` reads and writes them as
+//! folders of CSV files, and has the imports. A vehicle needs neither: with `default-features = false` the
+//! library takes no `mcap`, `csv` or `flate2`, and everything but reading and writing of logs is there.
 //!
 //! Nothing here reads a clock but the waits and deadlines of calls, the ids of uploads, and the cache's notes of
 //! which tile was used when: time is what the sensors say.
@@ -38,6 +42,7 @@ pub mod backoff;
 mod disk;
 pub mod drivelog;
 pub mod filter;
+#[cfg(feature = "csv")]
 pub mod import;
 mod localizer;
 pub mod refusal;

@@ -17,7 +17,8 @@ pub struct Scan {
     pub azimuth_rad: Vec<f32>,
     /// Radial speed relative to the sensor, metres per second, positive away from it.
     pub radial_speed_mps: Vec<f32>,
-    /// Radar cross section, decibel square metres.
+    /// Radar cross section, decibel square metres. Recorded, not read yet: drive logs and the contract carry
+    /// it, everything behind them leaves it out.
     pub rcs_dbsm: Vec<f32>,
 }
 

@@ -8,6 +8,7 @@ use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
 use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
+use crate::drivelog::Problem;
 
 /// 19th Avenue, San Francisco: near where the drive was, for want of the true place.
 const NOMINAL_ORIGIN: LatLon = LatLon { lat_deg: 37.7349, lon_deg: -122.4751 };
@@ -65,7 +66,7 @@ fn scans(folder: &Fragment) -> Result<Vec<Scan>, Error> {
     let mut scans: Vec<(u64, Scan)> = Vec::new();
     folder.table("scans.csv")?.rows(&columns, |row: TrackRow| {
         if !row.v_rel.is_finite() {
-            return Err("v_rel is not finite".into());
+            return Err(Problem::NotFinite);
         }
         if scans.last().is_none_or(|(id, _)| *id != row.scan_id) {
             let time_us = NOMINAL_START_US + micros(row.t)?;

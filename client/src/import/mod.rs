@@ -19,7 +19,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Scan;
 use serde::Deserialize;
 
-use crate::drivelog::{self, tables::Table};
+use crate::drivelog::{self, Problem, tables::Table};
 use local_frame::LocalFrame;
 
 /// Why foreign data cannot be read.
@@ -80,7 +80,7 @@ fn poses(folder: &Fragment, start_us: i64) -> Result<Trajectory, Error> {
     folder.table("poses.csv")?.rows(&["t", "x_east", "y_north", "heading"], |row: PoseRow| {
         let pose = Pose2::new(row.x_east, row.y_north, row.heading);
         if !pose.is_finite() {
-            return Err("the pose is not finite".into());
+            return Err(Problem::NotFinite);
         }
         rows.push((start_us + micros(row.t)?, pose));
         Ok(())
@@ -106,9 +106,9 @@ fn on_the_globe(
 }
 
 /// Adds a detection given in metres forward and left of the sensor.
-fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), String> {
+fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), Problem> {
     if !(forward_m.is_finite() && left_m.is_finite()) {
-        return Err("the detection's place is not finite".into());
+        return Err(Problem::NotFinite);
     }
     scan.range_m.push(forward_m.hypot(left_m) as f32);
     scan.azimuth_rad.push(left_m.atan2(forward_m) as f32);
@@ -116,13 +116,9 @@ fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), String> {
 }
 
 /// Seconds as microseconds.
-fn micros(seconds: f64) -> Result<i64, String> {
+fn micros(seconds: f64) -> Result<i64, Problem> {
     // Beyond this a double no longer holds a microsecond.
-    if seconds.abs() < 4e9 {
-        Ok((seconds * 1e6).round() as i64)
-    } else {
-        Err(format!("{seconds} is not a time in seconds"))
-    }
+    if seconds.abs() < 4e9 { Ok((seconds * 1e6).round() as i64) } else { Err(Problem::NotATime { seconds }) }
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
 use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
+use crate::drivelog::Problem;
 
 /// How far the poses stray from GPS/INS, RMS over the fragment, metres.
 const SIGMA_POSITION_M: f64 = 0.17;
@@ -66,7 +67,7 @@ fn first_fix(folder: &Fragment) -> Result<LatLon, Error> {
     let mut first = None;
     folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: GpsRow| {
         if !(row.lat.abs() <= 90.0 && row.lon.abs() <= 180.0) {
-            return Err(format!("{}, {} is not a position in degrees", row.lat, row.lon));
+            return Err(Problem::NotAPosition { lat_deg: row.lat, lon_deg: row.lon });
         }
         first.get_or_insert(LatLon { lat_deg: row.lat, lon_deg: row.lon });
         Ok(())

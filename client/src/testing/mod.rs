@@ -1,5 +1,6 @@
 //! Values for this crate's tests.
 
+pub(crate) mod decode;
 pub(crate) mod service;
 
 use echofix_core::drive::{Drive, GeoPose};
@@ -12,7 +13,6 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use crate::upload::PreparedUpload;
-use crate::wire::Columns;
 
 /// Microseconds since the Unix epoch around which tests drive.
 pub(crate) const T0: i64 = 1_700_000_000_000_000;
@@ -109,6 +109,6 @@ pub(crate) fn upload(detections: usize) -> PreparedUpload {
         azimuth_rad: vec![0.5; detections],
         ..Scan::default()
     };
-    upload.add(&[pose(T0), pose(T0 + 100_000)], &[scan], Columns::Geometry);
+    upload.add(&[pose(T0), pose(T0 + 100_000)], &[scan]);
     upload
 }

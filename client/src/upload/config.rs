@@ -4,8 +4,6 @@ use echofix_core::drive::segment::SegmentLimits;
 use echofix_core::evidence::build::EvidenceLimits;
 use echofix_core::gate::Gate;
 
-use crate::wire::Columns;
-
 /// What of a drive is sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UploadForm {
@@ -24,8 +22,6 @@ pub struct RecorderConfig {
     pub gate: Gate,
     /// What is sent.
     pub form: UploadForm,
-    /// Of scans, which columns are sent. Movers are dropped here, so the geometry is enough.
-    pub columns: Columns,
     /// Poses less well known than this are not mapped from, metres (one sigma an axis).
     pub max_sigma_position_m: f64,
     /// Poses whose heading is less well known than this are not mapped from, radians.
@@ -49,7 +45,6 @@ impl Default for RecorderConfig {
         Self {
             gate: Gate::default(),
             form: UploadForm::Evidence,
-            columns: Columns::Geometry,
             max_sigma_position_m: 0.3,
             max_sigma_yaw_rad: 0.5_f64.to_radians(),
             max_pose_gap_s: 0.5,

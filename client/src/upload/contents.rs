@@ -1,4 +1,4 @@
-//! One upload: a stretch of a drive under one id.
+//! One upload: a part of a drive under one id.
 
 use echofix_core::drive::GeoPose;
 use echofix_core::evidence::{EvidenceDelta, codec};
@@ -9,7 +9,7 @@ use echofix_proto::v1::upload_request::Part;
 use prost::Message;
 use uuid::Uuid;
 
-use crate::wire::{self, Columns};
+use crate::wire;
 
 /// Detections in a chunk, at most: some 20 kB. A chunk must cross within the time the service waits for
 /// a silent caller, on slow networks, too.
@@ -22,7 +22,7 @@ const CHUNK_BYTES: usize = 16 << 10;
 #[error("not an upload: {0}")]
 pub struct DamagedUpload(pub(super) &'static str);
 
-/// A stretch of a drive, ready to be sent; it keeps its id for ever.
+/// A part of a drive, ready to be sent; its id never changes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PreparedUpload {
     id: Uuid,
@@ -45,7 +45,7 @@ impl PreparedUpload {
 
     /// Adds scans and the poses they were taken from, both oldest first and the scans within the
     /// poses' time, as one chunk or several.
-    pub(crate) fn add(&mut self, poses: &[GeoPose], scans: &[Scan], columns: Columns) {
+    pub(crate) fn add(&mut self, poses: &[GeoPose], scans: &[Scan]) {
         let reference_time_us = self.header().map_or(0, |h| h.reference_time_us);
         let mut pieces = scans.iter().flat_map(pieces).peekable();
         while pieces.peek().is_some() {
@@ -61,16 +61,16 @@ impl PreparedUpload {
             let poses = covering(poses, first.time_us, last.time_us);
             let chunk = v1::UploadChunk {
                 poses: Some(wire::poses(poses, reference_time_us)),
-                scans: Some(wire::scans(&chunk, reference_time_us, columns)),
+                scans: Some(wire::scans(&chunk, reference_time_us)),
             };
             self.parts.push(v1::UploadRequest { part: Some(Part::Chunk(chunk)) });
         }
     }
 
-    /// Adds what the vehicle gathered itself; `sigmas` are the largest of the poses it was mapped from (metres,
-    /// radians).
-    pub(crate) fn add_evidence(&mut self, contribution: &EvidenceDelta, sigmas: [f64; 2]) {
-        let bytes = codec::encode(contribution);
+    /// Adds the evidence that the vehicle has built; `sigmas` are the largest of the poses it was mapped from
+    /// (metres, radians).
+    pub(crate) fn add_evidence(&mut self, delta: &EvidenceDelta, sigmas: [f64; 2]) {
+        let bytes = codec::encode(delta);
         let [sigma_position_m, sigma_yaw_rad] = sigmas.map(|sigma| sigma as f32);
         for piece in bytes.chunks(CHUNK_BYTES) {
             let chunk = v1::EvidenceChunk { contribution: piece.to_vec(), sigma_position_m, sigma_yaw_rad };
@@ -116,7 +116,7 @@ impl PreparedUpload {
     /// The evidence, of one that has any.
     ///
     /// # Errors
-    /// When its bytes are not a contribution.
+    /// When its bytes are not an evidence delta's.
     pub fn evidence(&self) -> Result<EvidenceDelta, DecodeError> {
         codec::decode(&self.evidence_bytes(), usize::MAX)
     }
@@ -162,7 +162,7 @@ impl PreparedUpload {
     }
 }
 
-/// A scan, cut where it would not fit a chunk.
+/// The geometry of a scan, split where it would not fit a chunk.
 fn pieces(scan: &Scan) -> impl Iterator<Item = Scan> + '_ {
     let cut = |column: &[f32], at: usize| -> Vec<f32> {
         column.chunks(CHUNK_DETECTIONS).nth(at).unwrap_or_default().to_vec()
@@ -172,8 +172,7 @@ fn pieces(scan: &Scan) -> impl Iterator<Item = Scan> + '_ {
         time_us: scan.time_us,
         range_m: cut(&scan.range_m, at),
         azimuth_rad: cut(&scan.azimuth_rad, at),
-        radial_speed_mps: cut(&scan.radial_speed_mps, at),
-        rcs_dbsm: cut(&scan.rcs_dbsm, at),
+        ..Scan::default()
     })
 }
 
@@ -189,7 +188,7 @@ fn covering(poses: &[GeoPose], from_us: i64, to_us: i64) -> &[GeoPose] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::T0;
+    use crate::testing::{T0, decode};
 
     fn poses() -> Vec<GeoPose> {
         (0..101).map(|i| GeoPose { time_us: T0 + i * 100_000, ..GeoPose::default() }).collect()
@@ -202,7 +201,7 @@ mod tests {
 
     fn upload(scans: &[Scan]) -> PreparedUpload {
         let mut upload = PreparedUpload::start("car", &[Mount::IDENTITY], T0);
-        upload.add(&poses(), scans, Columns::Geometry);
+        upload.add(&poses(), scans);
         upload
     }
 
@@ -215,8 +214,8 @@ mod tests {
         let mut again = Vec::new();
         for chunk in upload.chunks() {
             assert!(chunk.encoded_len() < 64 << 10);
-            let poses = wire::poses_from(chunk.poses.as_ref().unwrap(), T0).unwrap();
-            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), T0).unwrap();
+            let poses = decode::poses(chunk.poses.as_ref().unwrap(), T0);
+            let scans = decode::scans(chunk.scans.as_ref().unwrap(), T0);
             assert!(poses[0].time_us <= scans[0].time_us);
             assert!(poses.last().unwrap().time_us >= scans.last().unwrap().time_us);
             assert!(poses.len() <= scans.len() + 1, "poses that no scan needs");

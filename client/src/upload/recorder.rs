@@ -95,8 +95,10 @@ impl Recorder {
     ///
     /// # Errors
     /// When the scan is malformed, of an unknown radar or too late.
-    pub fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
+    pub fn push_scan(&mut self, mut scan: Scan) -> Result<(), Error> {
         scan.validate()?;
+        // Not sent: do not hold it.
+        scan.rcs_dbsm = Vec::new();
         let (sensor, time_us) = (scan.sensor, scan.time_us);
         if sensor >= self.mounts.len() {
             return Err(Error::UnknownSensor { sensor, mounts: self.mounts.len() });
@@ -216,7 +218,7 @@ impl Recorder {
         };
         if self.config.form == UploadForm::Scans {
             for Chunk { poses, scans } in &raw.chunks {
-                upload.add(poses, scans, self.config.columns);
+                upload.add(poses, scans);
             }
             return (upload.detections() > 0).then_some(upload);
         }

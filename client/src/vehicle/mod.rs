@@ -29,7 +29,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_proto::v1;
 
-use crate::wire::{self, Columns};
+use crate::wire;
 use anchor::Anchor;
 use window::ScanWindow;
 
@@ -266,7 +266,7 @@ impl Vehicle {
         v1::Batch {
             reference_time_us: to_us,
             mounts: self.window.mounts().iter().map(wire::mount).collect(),
-            scans: Some(wire::scans(self.window.scans(), to_us, Columns::Geometry)),
+            scans: Some(wire::scans(self.window.scans(), to_us)),
             odometry: Some(wire::odometry(poses.iter(), to_us)),
         }
     }

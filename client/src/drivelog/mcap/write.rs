@@ -10,7 +10,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions, Writer};
 use prost::Message;
 
-use super::super::{DriveEvent, Error, io_error, replay};
+use super::super::file::{Error, io_error};
+use super::super::{DriveEvent, replay};
 use super::{messages, schema, topic};
 
 const LOG: &str = "echofix/log/v1/drive.proto";

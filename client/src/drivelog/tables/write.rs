@@ -5,29 +5,29 @@ use std::path::Path;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::scan::Scan;
 
-use super::super::{Error, io_error};
-use super::{file, row};
+use super::super::file::{Error, io_error};
+use super::{row, table};
 
 pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error> {
     two_scans_at_once(&drive.scans)?;
     std::fs::create_dir_all(folder).map_err(|e| io_error(folder, e))?;
-    file::write(folder, "drive.csv", &["vehicle"], [row::VehicleRow { vehicle: drive.vehicle.clone() }])?;
+    table::write(folder, "drive.csv", &["vehicle"], [row::VehicleRow { vehicle: drive.vehicle.clone() }])?;
     let sensors = drive.mounts.iter().enumerate().map(|(index, m)| row::SensorRow {
         index,
         x_m: m.x_m,
         y_m: m.y_m,
         yaw_rad: m.yaw_rad,
     });
-    file::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
-    file::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
+    table::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
+    table::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
     let odometry = drive.odometry.iter().map(|(time_us, pose)| row::OdometryRow::new(time_us, pose));
-    file::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
+    table::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
     poses(folder, "reference.csv", &drive.reference)?;
     poses(folder, "truth.csv", &drive.truth)
 }
 
 fn poses(folder: &Path, name: &str, poses: &[GeoPose]) -> Result<(), Error> {
-    file::write(folder, name, &super::GEODETIC, poses.iter().map(row::GeodeticRow::from))
+    table::write(folder, name, &super::GEODETIC, poses.iter().map(row::GeodeticRow::from))
 }
 
 /// One row a detection; one without detections for an empty scan.

@@ -1,8 +1,7 @@
 //! A recorder on a straight drive east at 30 degrees north.
 
 use super::*;
-use crate::testing::T0;
-use crate::wire;
+use crate::testing::{T0, decode};
 use echofix_core::geo::LatLon;
 
 const METRES_PER_DEGREE: f64 = 96_486.0;
@@ -49,7 +48,7 @@ fn scan_times(uploads: &[PreparedUpload]) -> Vec<i64> {
     for upload in uploads {
         let reference = upload.header().unwrap().reference_time_us;
         for chunk in upload.chunks() {
-            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), reference).unwrap();
+            let scans = decode::scans(chunk.scans.as_ref().unwrap(), reference);
             times.extend(scans.iter().map(|s| (s.time_us - T0) / 1000));
         }
     }
@@ -215,8 +214,8 @@ fn evidence_is_what_the_scans_would_have_come_to() {
     for (sent, gathered) in sent.iter().zip(&gathered) {
         let header = sent.header().unwrap();
         let chunk = |chunk: &echofix_proto::v1::UploadChunk| Chunk {
-            poses: wire::poses_from(chunk.poses.as_ref().unwrap(), header.reference_time_us).unwrap(),
-            scans: wire::scans_from(chunk.scans.as_ref().unwrap(), header.reference_time_us).unwrap(),
+            poses: decode::poses(chunk.poses.as_ref().unwrap(), header.reference_time_us),
+            scans: decode::scans(chunk.scans.as_ref().unwrap(), header.reference_time_us),
         };
         let raw = RawUpload { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
         let expected = build_evidence(raw, &config.evidence()).unwrap().delta;
