@@ -1,4 +1,4 @@
-//! Keeps the map along a recorded drive's route on disk, and tells what it knows of it.
+//! Caches the map along a recorded drive's route on disk, and lists it.
 //!
 //! ```text
 //! cargo run -p echofix-client --example tiles -- http://127.0.0.1:50051 drive.mcap

@@ -15,7 +15,7 @@ use crate::vehicle::LocalizationQuestion;
 /// How patiently the service is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LocalizerOptions {
-    /// An answer is waited for this long, retries included; the service is told, and stops working
+    /// An answer is waited for this long, retries included; the service learns of it, and stops working
     /// on what nobody waits for.
     pub deadline: Duration,
     /// Waits between attempts.

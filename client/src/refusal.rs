@@ -17,7 +17,7 @@ pub enum RefusalReason {
     TooSlow,
     /// No detections were sent.
     NoDetections,
-    /// Too few detections to tell places apart; send a longer batch.
+    /// Too few detections to distinguish positions; send a longer batch.
     TooFewDetections,
     /// The prior's uncertainty asks for a larger search than the service makes.
     PriorTooUncertain,
@@ -87,9 +87,9 @@ pub enum CallError {
     /// The service refuses, with a typed reason.
     #[error("the service refuses ({reason}): {message}")]
     Refused {
-        /// The reason.
+        /// The reason the service names.
         reason: RefusalReason,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// The request is malformed; the library or its configuration is at fault.
@@ -97,7 +97,7 @@ pub enum CallError {
     Invalid {
         /// The fields at fault.
         violations: Vec<FieldViolation>,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// The service sheds load.
@@ -105,7 +105,7 @@ pub enum CallError {
     Overloaded {
         /// How long the service asks to wait.
         retry_after: Option<Duration>,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// The service cannot be reached, or is restarting.
@@ -113,7 +113,7 @@ pub enum CallError {
     Unavailable {
         /// How long the service asks to wait.
         retry_after: Option<Duration>,
-        /// What failed.
+        /// The failure as the transport reports it.
         message: String,
     },
     /// No answer came within the deadline.
@@ -122,15 +122,15 @@ pub enum CallError {
     /// The vehicle may not do this; check its certificate and role.
     #[error("the service denies access: {message}; check the vehicle's certificate and role")]
     Denied {
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// Any other failure of the service.
     #[error("the service failed ({code:?}): {message}")]
     Failed {
-        /// The gRPC code.
+        /// The status code of the call.
         code: Code,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
 }

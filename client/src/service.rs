@@ -18,10 +18,10 @@ pub struct ServiceAddress {
 /// Why the service cannot be addressed.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// Not a URL.
+    /// The text is not a URL.
     #[error("`{url}` is not the address of a service; expected http://host:port or https://host:port")]
     Url {
-        /// The text given.
+        /// The text that is no address.
         url: String,
     },
     /// A certificate for a connection that is not encrypted, or none for one that is.

@@ -1,8 +1,8 @@
-//! What a map cell knows, and what an upload tells it.
+//! What a map cell knows, and what an upload adds to it.
 //!
 //! - [`Cell`]: hits, who hit it and when, and how present it is.
-//! - [`EvidenceDelta`]: an upload's hits and what it had in view, by tile ([`TileEvidence`]); made by a
-//!   [`EvidenceAccumulator`]; its bytes are in [`codec`].
+//! - [`EvidenceDelta`]: an upload's hits and what it had in view, by tile ([`TileEvidence`]). [`mod@build`] makes it
+//!   of scans and poses, with an [`EvidenceAccumulator`]; its bytes are in [`codec`].
 //! - [`ViewBlocks`]: what was in view. [`presence`]: what that makes of a cell.
 //! - [`InverseSensorModel`]: the paper's.
 
@@ -25,12 +25,12 @@ pub use sensor_model::InverseSensorModel;
 
 use crate::geo::TileId;
 
-/// Sub-cell steps along a cell's side: offsets are kept to 10 cm / 256.
+/// Sub-cell steps along a cell's side: offsets are resolved to 10 cm / 256.
 pub const OFFSET_STEPS: u32 = 256;
-/// Steps that vehicles tell of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
+/// Steps that vehicles send of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
 pub const SENT_STEPS: u32 = 1;
 
-/// What a map cell knows. All but its presence is commutative: the same contributions give the same
+/// What a map cell knows. All but its presence is commutative: the same uploads give the same
 /// in whatever order they come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Cell {
@@ -41,7 +41,7 @@ pub struct Cell {
     /// Distinct contributors that hit it, 255 for all above: one that comes again on another day counts
     /// once as long as its earlier pass is remembered (see [`crate::tile::Ledger`]).
     pub contributors: u8,
-    /// Share of the passes with the cell in view that hit it, lately; [`presence::ALWAYS`] for all
+    /// Fraction of the passes with the cell in view that hit it, lately; [`presence::ALWAYS`] for all
     /// of them.
     pub presence: u16,
     /// First UTC day it was hit, counted from the Unix epoch.
@@ -53,7 +53,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Mean place of the hits within the cell, 0 to 1 along each side.
+    /// Mean position of the hits within the cell, 0 to 1 along each side.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         centroid(self.hits, self.offset_sum)
@@ -63,7 +63,7 @@ impl Cell {
     /// its hits.
     #[must_use]
     pub fn mass(&self) -> f64 {
-        f64::from(self.hits) / f64::from(self.passes.max(1)) * presence::share(self.presence)
+        f64::from(self.hits) / f64::from(self.passes.max(1)) * presence::fraction(self.presence)
     }
 }
 
@@ -93,14 +93,14 @@ pub struct CellHits {
 }
 
 impl CellHits {
-    /// Mean place of the hits within the cell, 0 to 1 along each side.
+    /// Mean position of the hits within the cell, 0 to 1 along each side.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         centroid(self.hits, self.offset_sum)
     }
 }
 
-/// What one upload tells one tile.
+/// The part of an evidence delta that lies in one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TileEvidence {
     /// Cells that were hit, in order of their index.
@@ -124,10 +124,10 @@ impl TileEvidence {
     }
 }
 
-/// What one upload tells the map.
+/// What one upload adds to the map.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct EvidenceDelta {
-    /// Shares by tile. A tile in which nothing was hit has none, though it may have been in view.
+    /// Evidence by tile. A tile in which nothing was hit has none, though it may have been in view.
     pub tiles: BTreeMap<TileId, TileEvidence>,
     /// Detections that count, in the zone the positions belong to.
     pub detections: u64,

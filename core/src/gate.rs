@@ -75,7 +75,7 @@ pub struct Dropped {
 }
 
 impl Dropped {
-    /// All of them.
+    /// Dropped detections, whatever the reason.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.too_slow + self.too_far + self.moving + self.without_pose

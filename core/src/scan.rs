@@ -70,7 +70,7 @@ pub enum Error {
     ColumnLength {
         /// The offending column.
         column: &'static str,
-        /// Its length.
+        /// Values in the column.
         found: usize,
         /// The length of `range_m`.
         expected: usize,
@@ -138,11 +138,11 @@ impl Scan {
         }
     }
 
-    /// Keeps the rows for which `keep` says so, in order.
+    /// Retains the rows for which `keep` is true, in order.
     pub fn retain(&mut self, mut keep: impl FnMut(&Self, usize) -> bool) {
-        let kept: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
+        let retained: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
         let filter = |column: &mut Vec<f32>| {
-            let mut rows = kept.iter();
+            let mut rows = retained.iter();
             column.retain(|_| rows.next().copied().unwrap_or(false));
         };
         filter(&mut self.range_m);

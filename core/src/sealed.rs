@@ -1,4 +1,4 @@
-//! The frame around all bytes of ours: what they are, in which version, and their checksum.
+//! The frame around all encoded values: their format, its version, and a checksum.
 
 /// Bytes before the body.
 const HEADER: usize = 8;
@@ -13,9 +13,9 @@ pub enum DecodeError {
     #[error("these bytes have format version {found}, but this software reads version {known} only: {}",
         advice(*.found, *.known))]
     Version {
-        /// Of the bytes.
+        /// The format version of the bytes.
         found: u8,
-        /// The one that can be read.
+        /// The format version that this software reads.
         known: u8,
     },
     /// The checksum does not match.
@@ -30,7 +30,7 @@ fn advice(found: u8, known: u8) -> &'static str {
     if found < known { "make them again from their source" } else { "update it" }
 }
 
-/// What bytes are.
+/// A format: how its bytes begin.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SealedFormat {
     pub(crate) magic: [u8; 3],

@@ -1,4 +1,4 @@
-//! LEB128 variable-length integers, the alphabet of tiles, contributions and journal records.
+//! LEB128 variable-length integers, the alphabet of tiles, evidence deltas and journal records.
 
 /// Appends values to bytes.
 #[derive(Debug, Default)]

@@ -80,12 +80,12 @@ impl Comparison {
         all
     }
 
-    /// The value below which a share of the samples lies; NaN without any.
-    pub fn percentile(&self, share: f64, of: impl Fn(&Sample) -> f64) -> f64 {
+    /// The value below which a fraction of the samples lies; NaN without any.
+    pub fn percentile(&self, fraction: f64, of: impl Fn(&Sample) -> f64) -> f64 {
         let mut values: Vec<f64> = self.samples.iter().map(of).collect();
         values.sort_by(f64::total_cmp);
         let last = values.len().saturating_sub(1) as f64;
-        values.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)
+        values.get((fraction * last).round() as usize).copied().unwrap_or(f64::NAN)
     }
 
     pub fn mean_nees(&self) -> f64 {
@@ -95,7 +95,7 @@ impl Comparison {
     /// For people.
     pub fn table(&self) -> String {
         let row = |name: &str, of: &dyn Fn(&Sample) -> f64| {
-            let [p50, p95, p99] = [0.5, 0.95, 0.99].map(|share| self.percentile(share, of));
+            let [p50, p95, p99] = [0.5, 0.95, 0.99].map(|fraction| self.percentile(fraction, of));
             format!("{name:<36}{p50:>8.2}{p95:>8.2}{p99:>8.2}\n")
         };
         [

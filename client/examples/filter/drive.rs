@@ -22,7 +22,7 @@ const TICK_S: f64 = 0.05;
 const TICKS_PER_S: usize = 20;
 const MINUTES: usize = 10;
 
-/// Share of odometry's scale error, one sigma of a drive.
+/// Fraction of odometry's scale error, one sigma of a drive.
 const SCALE: f64 = 0.005;
 const YAW_DRIFT_RADPS: f64 = 0.02 * DEGREE;
 /// Random walks: metres a square root of a metre, radians a square root of a second.
@@ -55,7 +55,7 @@ pub struct SimulatedDrive {
     pub fixes: Vec<Arrival>,
 }
 
-/// The drive of a seed, with fixes that measure this far back into their batch, as a share of it
+/// The drive of a seed, with fixes that measure this far back into their batch, as a fraction of it
 /// (`FixNoise::middle`).
 pub fn drive(seed: u64, middle: f64) -> Result<SimulatedDrive, Box<dyn Error>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -186,8 +186,8 @@ impl FixErrors {
 
     /// A second and some metres later.
     fn after(&mut self, way_m: f64, rng: &mut ChaCha8Rng) {
-        let kept = (-way_m / MAP_WAY_M).exp();
-        self.map = self.map.map(|error_m| kept * error_m + normal(rng, MAP_M * (1.0 - kept * kept).sqrt()));
+        let left = (-way_m / MAP_WAY_M).exp();
+        self.map = self.map.map(|error_m| left * error_m + normal(rng, MAP_M * (1.0 - left * left).sqrt()));
         self.seconds.rotate_left(1);
         self.seconds[BATCH_S - 1] = Self::second(rng);
     }

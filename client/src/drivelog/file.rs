@@ -18,15 +18,15 @@ pub enum Error {
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder of the drive log.
         path: PathBuf,
-        /// What it says.
+        /// The error of the file system.
         source: io::Error,
     },
     /// Neither a `*.mcap` file nor a folder with a drive.
     #[error("{} is not a drive log; expected a .mcap file or a folder with sensors.csv, scans.csv and odometry.csv", .path.display())]
     NotADriveLog {
-        /// The path given.
+        /// The path that was to be read.
         path: PathBuf,
     },
     /// A table is there twice, or twice and compressed.
@@ -38,7 +38,7 @@ pub enum Error {
     /// A row of a table cannot be used.
     #[error("{} line {line}: {problem}", .path.display())]
     Row {
-        /// The file.
+        /// The file of the drive log.
         path: PathBuf,
         /// Line of the (decompressed) file, from 1.
         line: u64,
@@ -51,26 +51,26 @@ pub enum Error {
         .path.display()
     )]
     FormatOff {
-        /// The file or folder.
+        /// The file or folder of the drive log.
         path: PathBuf,
-        /// The feature.
+        /// The feature to build with.
         feature: &'static str,
     },
     /// An MCAP file is damaged.
     #[cfg(feature = "mcap")]
     #[error("{}: the MCAP file is damaged ({source}); `mcap recover` may save what is before the damage", .path.display())]
     Damaged {
-        /// The file.
+        /// The file of the drive log.
         path: PathBuf,
-        /// What the reader says.
+        /// The error of the MCAP reader.
         source: ::mcap::McapError,
     },
     /// A message of an MCAP file cannot be used.
     #[error("{}: message {number} of {topic}: {problem}", .path.display())]
     Message {
-        /// The file.
+        /// The file of the drive log.
         path: PathBuf,
-        /// The topic.
+        /// The topic of the message.
         topic: String,
         /// Number of the message within its topic, from 1.
         number: u64,
@@ -80,7 +80,7 @@ pub enum Error {
     /// An MCAP file that is not a drive.
     #[error("{}: {problem}", .path.display())]
     NotADrive {
-        /// The file.
+        /// The file of the drive log.
         path: PathBuf,
         /// What is missing or wrong.
         problem: String,

@@ -38,7 +38,7 @@ pub(super) struct Innovation {
 }
 
 impl Belief {
-    /// What a first fix alone tells.
+    /// The belief of a first fix alone.
     pub(super) fn from_fix(fix: &LocalFix, config: &FilterConfig) -> Self {
         let (odometry, fixes) = (config.odometry, config.fixes);
         let sigma = [
@@ -69,25 +69,25 @@ impl Belief {
         let (moved, turning_s) = (step.moved, step.turning_s());
         let (sin, cos) = self.mean[YAW].sin_cos();
         let (ahead_x, ahead_y) = (cos * moved.x_m - sin * moved.y_m, sin * moved.x_m + cos * moved.y_m);
-        let true_share = 1.0 - self.mean[SCALE];
+        let true_fraction = 1.0 - self.mean[SCALE];
 
         let mut mean = self.mean;
-        mean[0] += true_share * ahead_x;
-        mean[1] += true_share * ahead_y;
+        mean[0] += true_fraction * ahead_x;
+        mean[1] += true_fraction * ahead_y;
         mean[YAW] = wrap_angle(mean[YAW] + moved.yaw_rad - turning_s * mean[YAW_RATE]);
         let mut transition = Covariance::identity();
-        transition[(0, YAW)] = -true_share * ahead_y;
-        transition[(1, YAW)] = true_share * ahead_x;
+        transition[(0, YAW)] = -true_fraction * ahead_y;
+        transition[(1, YAW)] = true_fraction * ahead_x;
         transition[(0, SCALE)] = -ahead_x;
         transition[(1, SCALE)] = -ahead_y;
         transition[(YAW, YAW_RATE)] = -turning_s;
 
         let mut noise = Vector::zeros();
         noise.fixed_rows_mut::<3>(0).copy_from_slice(&step.walk(config));
-        for (state, (sigma, kept)) in (SCALE..).zip(step.memory(config)) {
-            mean[state] *= kept;
-            transition[(state, state)] = kept;
-            noise[state] = sigma * sigma * (1.0 - kept * kept);
+        for (state, (sigma, left)) in (SCALE..).zip(step.memory(config)) {
+            mean[state] *= left;
+            transition[(state, state)] = left;
+            noise[state] = sigma * sigma * (1.0 - left * left);
         }
         let covariance =
             transition * self.covariance * transition.transpose() + Covariance::from_diagonal(&noise);
@@ -148,7 +148,7 @@ impl Belief {
         self.covariance.fixed_view::<3, 3>(0, 0).into_owned()
     }
 
-    /// Share by which odometry's distances are too long, and its sigma.
+    /// Fraction by which odometry's distances are too long, and its sigma.
     pub(super) fn scale(&self) -> (f64, f64) {
         (self.mean[SCALE], self.covariance[(SCALE, SCALE)].sqrt())
     }

@@ -1,4 +1,4 @@
-//! What the filter tells.
+//! What the filter returns.
 
 use echofix_core::drive::GeoPose;
 
@@ -16,7 +16,7 @@ pub struct FilterEstimate {
     pub fix_age_s: f64,
     /// Fixes in a row that contradict this estimate and agree with each other: 0 is healthy.
     pub contradicting: usize,
-    /// Share by which odometry's distances are too long, and its sigma.
+    /// Fraction by which odometry's distances are too long, and its sigma.
     pub odometry_scale: (f64, f64),
     /// What odometry's yaw rate is too large by, and its sigma, radians per second.
     pub odometry_yaw_rate_radps: (f64, f64),

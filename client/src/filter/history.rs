@@ -133,8 +133,8 @@ impl History {
         let Some(before) = after.checked_sub(1).map(|i| &self.nodes[i]) else {
             return Err(FixOutcome::TooOld { oldest_us: next.time_us });
         };
-        let share = (time_us - before.time_us) as f64 / (next.time_us - before.time_us) as f64;
-        Ok(before.odometry.interpolate(&next.odometry, share))
+        let fraction = (time_us - before.time_us) as f64 / (next.time_us - before.time_us) as f64;
+        Ok(before.odometry.interpolate(&next.odometry, fraction))
     }
 
     /// The newest time, and what is believed then.
@@ -151,7 +151,7 @@ impl History {
         }
     }
 
-    /// Forgets all that fixes told.
+    /// Forgets all fixes and what they led to.
     pub(super) fn forget_fixes(&mut self) {
         for node in &mut self.nodes {
             (node.track, node.fix) = (Track::default(), None);
@@ -170,7 +170,7 @@ impl History {
         }
     }
 
-    /// Drops the newest pose if it is closer to the one before than odometry needs to be kept.
+    /// Drops the newest pose if it is closer to the one before than odometry needs to be stored.
     fn thin_out(&mut self, config: &FilterConfig) {
         let Some(before) = self.nodes.len().checked_sub(2).map(|i| &self.nodes[i]) else { return };
         let dense = |last: &&Node| {

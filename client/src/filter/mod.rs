@@ -54,14 +54,14 @@
 //! # The errors of fixes are not white
 //!
 //! A fix is `pose + map + batch + a little of its own`. Its covariance says how large the sum is; the
-//! filter only splits it. What would be averaged away if every fix were taken for news is kept in
+//! filter only splits it. What would be averaged away if every fix were taken for news is held in
 //! states instead (Bryson and Henrikson, "Estimation using sampled data containing sequentially
 //! correlated noise", 1968):
 //!
-//! - *The map's own error* is common to all fixes of a place. It fades over [`FixNoise::map_way_m`]
+//! - *The map's own error* is common to all fixes of a street. It fades over [`FixNoise::map_way_m`]
 //!   metres driven, so standing still for an hour teaches nothing about it.
 //! - *The batch's error* is common to the fixes whose batches overlap. It fades over half a batch, and
-//!   ten fixes a second tell little more than one.
+//!   ten fixes a second are worth little more than one.
 //!
 //! ## A fix is for the middle of its batch
 //!
@@ -73,7 +73,7 @@
 //!
 //! # Late, early, out of order
 //!
-//! The last [`FilterConfig::history_s`] are kept: odometry, fixes, and what was believed. A fix goes where
+//! The last [`FilterConfig::history_s`] are stored: odometry, fixes, and what was believed. A fix goes where
 //! it belongs, and all after it is done again; the order of arrival makes no difference. What is older
 //! is [`FixOutcome::TooOld`], what odometry does not cover yet [`FixOutcome::AheadOfOdometry`].
 //!
@@ -104,7 +104,7 @@
 //!
 //! From the ground up: `config`, `plane`, `noise` (whose error is whose), `local_fix`,
 //! `step` (odometry), `belief` (the Kalman filter), `track` (gate and recovery), `history` (time),
-//! `estimate` (what is told).
+//! `estimate` (what is returned).
 
 mod belief;
 mod config;
@@ -188,7 +188,7 @@ impl Filter {
         FilterEstimate::of(time_us, &track, &self.frame?)
     }
 
-    /// The plane to place a fix in: that of the first, unless that led nowhere.
+    /// The plane for a fix: that of the first, unless that led nowhere.
     fn frame_for(&mut self, at: LatLon) -> Result<LocalPlane, Error> {
         if let Some(frame) = self.frame.filter(|frame| frame.reaches(at)) {
             return Ok(frame);

@@ -36,17 +36,17 @@ impl OdometryStep {
     }
 
     /// For each Gauss-Markov state, in the order of the states: its sigma when nothing is known of
-    /// it, and the share of what is known that the step leaves.
+    /// it, and the fraction of what is known that the step leaves.
     pub(super) fn memory(&self, config: &FilterConfig) -> [(f64, f64); 8] {
         let (odometry, fixes) = (config.odometry, config.fixes);
-        let kept = |passed: f64, length: f64| (-passed / length).exp();
-        let map = kept(self.way_m(), fixes.map_way_m);
+        let left = |passed: f64, length: f64| (-passed / length).exp();
+        let map = left(self.way_m(), fixes.map_way_m);
         // Two batches of length T, t apart, share 1 - t/T of their detections; the exponential of
         // the same integral has the time constant T/2.
-        let batch = (1.0, kept(self.time_s, 0.5 * fixes.batch_s));
+        let batch = (1.0, left(self.time_s, 0.5 * fixes.batch_s));
         [
-            (odometry.scale, kept(self.time_s, odometry.scale_time_s)),
-            (odometry.yaw_rate_radps, kept(self.time_s, odometry.yaw_rate_time_s)),
+            (odometry.scale, left(self.time_s, odometry.scale_time_s)),
+            (odometry.yaw_rate_radps, left(self.time_s, odometry.yaw_rate_time_s)),
             (fixes.map_m, map),
             (fixes.map_m, map),
             (fixes.map_rad, map),
@@ -76,14 +76,14 @@ mod tests {
     #[test]
     fn what_is_forgotten_depends_on_time_or_on_way() {
         let config = FilterConfig::default();
-        let kept = |time_s: f64, way_m: f64| {
+        let left = |time_s: f64, way_m: f64| {
             let moved = Pose2::new(way_m, 0.0, 0.0);
-            OdometryStep { time_s, moved }.memory(&config).map(|(_, kept)| kept)
+            OdometryStep { time_s, moved }.memory(&config).map(|(_, left)| left)
         };
         // Waiting makes batches new, not the map; the way makes the map new.
-        let waited = kept(60.0, 0.0);
+        let waited = left(60.0, 0.0);
         assert!(waited[5] < 1e-9 && waited[2] > 0.999, "{waited:?}");
-        let driven = kept(0.1, 500.0);
+        let driven = left(0.1, 500.0);
         assert!(driven[2] < 1e-4 && driven[5] > 0.9, "{driven:?}");
     }
 }

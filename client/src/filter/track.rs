@@ -123,7 +123,7 @@ fn span_s(rivals: &[Rival]) -> f64 {
     }
 }
 
-/// What fixes that agree tell together, at the time of the last.
+/// The belief of fixes that agree, at the time of the last.
 fn consensus(rivals: &[Rival], config: &FilterConfig) -> Option<Belief> {
     let mut belief = Belief::from_fix(&rivals.first()?.fix, config);
     for pair in rivals.windows(2) {

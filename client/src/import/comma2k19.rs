@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
 use crate::drivelog::Problem;
 
-/// 19th Avenue, San Francisco: near where the drive was, for want of the true place.
+/// 19th Avenue, San Francisco: near where the drive was, for want of the true position.
 const NOMINAL_ORIGIN: LatLon = LatLon { lat_deg: 37.7349, lon_deg: -122.4751 };
 /// 2018-08-02 00:00 UTC, the date in the drive's name, microseconds since the Unix epoch.
 const NOMINAL_START_US: i64 = 1_533_168_000_000_000;
@@ -38,7 +38,7 @@ struct TrackRow {
 ///   ahead of it, and both that lever arm and the angle between the two are unknown. The mount is
 ///   left at the origin. The sigmas are guesses: 0.5 m, and the mean angle of 0.016 rad between the
 ///   camera's heading and the course.
-/// - The absolute place is *nominal* (37.7349, -122.4751): the data are metres from the first pose.
+/// - The absolute position is *nominal* (37.7349, -122.4751): the data are metres from the first pose.
 /// - The date is *nominal* too: the device's seconds are counted from 2018-08-02 00:00 UTC.
 ///
 /// Source: `commaai/comma2k19`, `Example_1` (MIT).

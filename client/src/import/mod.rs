@@ -1,6 +1,6 @@
-//! Other people's radar data as drives.
+//! Public radar data as drives.
 //!
-//! Both sets are fragments of public data, prepared as CSV; neither sees a place twice, so neither
+//! Both sets are fragments of public data, prepared as CSV; neither drives a street twice, so neither
 //! can prove a localization. They show that real detections, real poses and real clocks go
 //! through. What is not known about them is said at each function, and in the sigmas.
 
@@ -29,9 +29,9 @@ pub enum Error {
     /// A file is missing.
     #[error("{} is missing (also as .gz); expected the folder of the prepared {set} fragment", .path.display())]
     Missing {
-        /// The file.
+        /// The file of the data set.
         path: PathBuf,
-        /// The data set.
+        /// The name of the data set.
         set: &'static str,
     },
     /// A file or a row of it cannot be used.
@@ -43,7 +43,7 @@ pub enum Error {
     /// A file holds nothing.
     #[error("{} has no rows", .path.display())]
     Empty {
-        /// The file.
+        /// The file of the data set.
         path: PathBuf,
     },
 }

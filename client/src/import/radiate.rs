@@ -34,11 +34,11 @@ struct GpsRow {
 ///
 /// - Scans: the points that were moved to the time of their scan (`x_forward_dsk`, `y_left_dsk`);
 ///   one sensor at the body's origin, which is the radar. The radar measures no radial speed, so
-///   movers cannot be told; the received power is not a radar cross section and is left out.
+///   movers cannot be recognised; the received power is not a radar cross section and is left out.
 /// - `odometry`, `reference` and `truth` are all `poses.csv`: lidar odometry, independent of the
 ///   radar, fitted as a whole to GPS/INS. Its scale is 1.2 % off GPS; its relative accuracy over
 ///   the fragment is estimated at 0.1 m and not verified. The sigmas are its RMS distance from GPS.
-/// - The local frame is placed at the first fix of `gps_ins.csv`. The absolute position is as good
+/// - The local frame has its origin at the first fix of `gps_ins.csv`. The absolute position is as good
 ///   as that GPS, which is not known.
 /// - Time is the host computer's Unix time, whose offset from UTC is not known (the GPS clock of
 ///   the set is 66 s ahead).

@@ -1,6 +1,6 @@
-//! The map on the vehicle: tiles on disk that are downloaded once and kept up to date.
+//! The map on the vehicle: tiles on disk that are downloaded once and updated.
 //!
-//! [`TileCache::sync`] tells the service which versions the cache has of the tiles that are wanted
+//! [`TileCache::sync`] reports to the service which versions the cache has of the tiles that are wanted
 //! ([`Want`]: an area, a route, tiles by their ids), takes what changed, and removes what the map no longer
 //! holds. [`TileCache::tile`] reads a tile without the network.
 //!
@@ -10,7 +10,7 @@
 //! - **a crash** leaves a file under another ending, or a tile in two versions; opening removes either;
 //! - **a damaged file** is noticed when it is read, and removed: the next `sync` fetches it again;
 //! - **full**: the tiles that were not used for longest go first, but none that the same `sync` wants;
-//! - **a sync that breaks off** keeps what came; the next one goes on from there.
+//! - **a sync that breaks off** leaves what came; the next one goes on from there.
 //!
 //! Versions are those of one service: give each service's map a folder of its own.
 //!
@@ -67,7 +67,7 @@ impl Default for TileCacheLimits {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The service cannot be reached or refuses; what came before is kept.
+    /// The service cannot be reached or refuses; what came before stays.
     #[error(transparent)]
     Call(#[from] CallError),
     /// The service's answer is not what the contract says.
@@ -76,9 +76,9 @@ pub enum Error {
     /// A tile came that cannot be read.
     #[error("tile {id} came from the service and cannot be read: {source}")]
     Unreadable {
-        /// Which.
+        /// The tile.
         id: TileId,
-        /// What is wrong with it.
+        /// Why it cannot be decoded.
         source: DecodeError,
     },
     /// The tiles wanted are more than the cache may hold.
@@ -87,23 +87,23 @@ pub enum Error {
          for fewer", .dir.display()
     )]
     Full {
-        /// The cache.
+        /// The cache's folder.
         dir: PathBuf,
-        /// The limit.
+        /// Bytes the cache may hold, at most.
         max_bytes: u64,
     },
     /// Another process has the cache open.
     #[error("the tile cache {} is in use by another process; give each its own folder", .dir.display())]
     InUse {
-        /// The cache.
+        /// The cache's folder.
         dir: PathBuf,
     },
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder of the cache.
         path: PathBuf,
-        /// What it says.
+        /// The error of the file system.
         source: io::Error,
     },
 }

@@ -158,7 +158,7 @@ proptest! {
     }
 }
 
-/// Breaks when a sync throws out what it has just fetched, or a lowered limit is not kept to.
+/// Breaks when a sync throws out what it has just fetched, or a lowered limit is not respected.
 #[test]
 fn what_does_not_fit_is_told_and_lower_limits_hold() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What is recorded and how it is cut.
+//! What is recorded, and how it is split.
 
 use echofix_core::drive::segment::SegmentLimits;
 use echofix_core::evidence::build::EvidenceLimits;
@@ -7,18 +7,18 @@ use echofix_core::gate::Gate;
 /// What of a drive is sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UploadForm {
-    /// Cells that were hit, and what was in view: small, and it tells neither when nor along which way the
-    /// vehicle went.
+    /// Cells that were hit, and what was in view: small, and it shows neither when nor along which way the
+    /// vehicle drove.
     #[default]
     Evidence,
     /// The scans, and the poses they were taken from.
     Scans,
 }
 
-/// What is recorded and how it is cut.
+/// What is recorded, and how it is split.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecorderConfig {
-    /// Which detections are kept.
+    /// Which detections pass.
     pub gate: Gate,
     /// What is sent.
     pub form: UploadForm,
@@ -35,7 +35,7 @@ pub struct RecorderConfig {
     /// Scans may come this much later than the poses that cover them, seconds.
     pub lateness_s: f64,
     /// Nothing is recorded within this distance of where a trip began and where it ended, metres, so
-    /// that uploads do not tell either place. A stop of two minutes ends a trip. 100 m unless set; 0
+    /// that uploads show neither position. A stop of two minutes ends a trip. 100 m unless set; 0
     /// records all, which is for vehicles whose ends are nobody's secret, such as a survey's.
     pub trim_ends_m: f64,
 }

@@ -96,7 +96,7 @@ impl PreparedUpload {
         self.parts
     }
 
-    /// What all chunks share.
+    /// What all chunks have in common.
     #[must_use]
     pub fn header(&self) -> Option<&v1::UploadHeader> {
         match self.parts.first()?.part.as_ref()? {

@@ -1,13 +1,13 @@
 //! Contributing to the map: record, spool, send.
 //!
-//! 1. [`Recorder`] takes scans and reference poses as they come, keeps what maps (poses known well
+//! 1. [`Recorder`] takes scans and reference poses as they come, retains what can be mapped (poses known well
 //!    enough, scans fast and near enough, no movers), and cuts the drive into [`PreparedUpload`]s: of the
 //!    evidence gathered on the way, or of the scans themselves ([`UploadForm`]).
 //! 2. [`Uploader::submit`] puts an upload on disk; once it returns, the upload survives crashes
 //!    and power cuts of the vehicle.
 //! 3. In the background the uploads are sent, oldest first, each until the service has
 //!    acknowledged it; an id counts once however often it is sent. What the service refuses for
-//!    good is kept in the spool's `refused` folder with the reason.
+//!    good stays in the spool's `refused` folder with the reason.
 
 mod config;
 mod contents;

@@ -1,4 +1,4 @@
-//! Cuts a drive into uploads.
+//! Splits a drive into uploads.
 
 use echofix_core::drive::GeoPose;
 use echofix_core::drive::segment::usable_segments;
@@ -115,7 +115,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Takes an odometry pose. Optional: where odometry covers a scan, the velocity that tells
+    /// Takes an odometry pose. Optional: where odometry covers a scan, the velocity that distinguishes
     /// movers from structure is taken from it, for absolute poses jitter.
     ///
     /// # Errors
@@ -211,7 +211,7 @@ impl Recorder {
     fn upload_of(&mut self, raw: RawUpload, first_us: i64) -> Option<PreparedUpload> {
         let mut upload = match self.config.form {
             UploadForm::Scans => PreparedUpload::start(&self.contributor, &self.mounts, first_us),
-            // Evidence tells the day only.
+            // Evidence shows the day only.
             UploadForm::Evidence => {
                 PreparedUpload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US))
             }

@@ -34,7 +34,7 @@ pub(super) struct Sender {
 }
 
 impl Sender {
-    /// Sends until told to stop, oldest first.
+    /// Sends until it has to stop, oldest first.
     pub(super) async fn run(mut self) {
         let mut client = self.connect();
         let mut backoff = Backoff::new(self.options.backoff);
@@ -67,7 +67,7 @@ impl Sender {
         }
     }
 
-    /// The next upload to send, once there is one; `None` when told to stop.
+    /// The next upload to send, once there is one; `None` when it has to stop.
     async fn next(&mut self, passed_over: &mut HashSet<Uuid>) -> Option<Uuid> {
         let mut changes = self.progress.subscribe();
         loop {
@@ -132,7 +132,7 @@ impl Sender {
         on_disk(&self.spool, work).await
     }
 
-    /// What the future gives, or `None` once told to stop.
+    /// What the future gives, or `None` once it has to stop.
     async fn unless_stopped<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;

@@ -8,9 +8,9 @@ use echofix_core::gate::Gate;
 pub struct VehicleConfig {
     /// Length of the sliding window, seconds: what a batch spans (paper, Sec. "Test procedure").
     pub window_s: f64,
-    /// Which detections are kept.
+    /// Which detections pass.
     pub gate: Gate,
-    /// Scans between odometry poses farther apart than this are dropped, seconds: their place
+    /// Scans between odometry poses farther apart than this are dropped, seconds: their position
     /// would be a guess.
     pub max_odometry_gap_s: f64,
     /// How odometry drifts.
@@ -65,14 +65,14 @@ pub struct AlertLimits {
 }
 
 impl Default for AlertLimits {
-    /// None.
+    /// No limits.
     fn default() -> Self {
         Self { along_m: f64::INFINITY, cross_m: f64::INFINITY, yaw_rad: f64::INFINITY }
     }
 }
 
 impl AlertLimits {
-    /// The horizontal limit the service is told, metres: it compares the joint level, which stays
+    /// The horizontal limit that is sent, metres: it compares the joint level, which stays
     /// within this whenever each level stays within its own limit, and the vehicle itself checks
     /// each; 0 without any.
     pub(super) fn on_the_wire_m(&self) -> f64 {

@@ -92,7 +92,7 @@ pub enum NotReady {
     /// Nothing is known of where the vehicle is.
     #[error("there is no rough pose to search around; push one, from GNSS or the last trip")]
     NoPrior,
-    /// The prior cannot be placed on the map.
+    /// The prior is not on the map.
     #[error(transparent)]
     OffTheMap(#[from] geo::Error),
 }
@@ -166,7 +166,7 @@ impl Vehicle {
     }
 
     /// Takes a rough pose from outside, usually GNSS. Of it and the pose believed, the better known
-    /// position and the better known heading are kept.
+    /// position and the better known heading stay.
     ///
     /// # Errors
     /// When the pose is not on the map or older than the window.

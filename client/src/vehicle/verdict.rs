@@ -13,7 +13,7 @@ use super::{AlertLimits, VehicleConfig};
 pub struct Fix {
     /// The pose of the body, with the sigmas of `covariance`.
     pub pose: GeoPose,
-    /// Covariance of (east m, north m, yaw rad), along the axes that `pose` is told in, *true* east and north: upper
+    /// Covariance of (east m, north m, yaw rad), along the axes of `pose`, *true* east and north: upper
     /// triangle row by row.
     pub covariance: [f64; 6],
     /// Bounds of the error; `None` when the answer had no valid ones and none were required.
@@ -33,9 +33,9 @@ pub enum Rejection {
     /// The service says not to.
     #[error("the service says not to use the answer ({}): {reason}", .status.as_str_name())]
     Status {
-        /// The status.
+        /// The status of the answer.
         status: v1::FixStatus,
-        /// The service's words.
+        /// The reason the service gives.
         reason: String,
     },
     /// The protection levels are missing or must not be relied on.
@@ -59,7 +59,7 @@ pub enum Rejection {
     TooOld {
         /// Seconds from the pose's time to the newest odometry.
         age_s: f64,
-        /// The limit.
+        /// The vehicle's limit, seconds.
         max_s: f64,
     },
     /// A question of this time or a later one has been answered before.
@@ -127,7 +127,7 @@ fn covariance(answer: &v1::LocalizeResponse) -> Result<[f64; 6], Rejection> {
     Ok(covariance)
 }
 
-/// The service tells a covariance along the grid's axes, which lie up to some degrees off the true ones.
+/// The service gives a covariance along the grid's axes, which lie up to some degrees off the true ones.
 fn on_true_axes(answer: &v1::LocalizeResponse, [xx, xy, xt, yy, yt, tt]: [f64; 6]) -> [f64; 6] {
     let yaws = answer.utm.zip(answer.pose).map(|(utm, pose)| [utm.yaw_rad, pose.yaw_rad]);
     let convergence_rad = yaws.map_or(0.0, |[grid, geodetic]| wrap_angle(grid - geodetic));

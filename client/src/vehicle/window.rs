@@ -18,7 +18,7 @@ pub(super) struct ScanWindow {
     /// Scans that odometry does not cover yet, oldest first.
     waiting: Vec<Scan>,
     /// Gated scans, oldest first.
-    kept: Vec<Scan>,
+    gated: Vec<Scan>,
     dropped: Dropped,
 }
 
@@ -30,7 +30,7 @@ impl ScanWindow {
             odometry: Trajectory::default(),
             travelled_m: 0.0,
             waiting: Vec::new(),
-            kept: Vec::new(),
+            gated: Vec::new(),
             dropped: Dropped::default(),
         }
     }
@@ -67,14 +67,14 @@ impl ScanWindow {
         }
         self.settle();
         let oldest_us = self.oldest_us();
-        self.kept.retain(|scan| scan.time_us >= oldest_us);
+        self.gated.retain(|scan| scan.time_us >= oldest_us);
         self.odometry.trim_before(oldest_us);
         Ok(())
     }
 
     /// Gated scans, oldest first; none is empty, all are covered by odometry.
     pub(super) fn scans(&self) -> &[Scan] {
-        &self.kept
+        &self.gated
     }
 
     pub(super) fn mounts(&self) -> &[Mount] {
@@ -127,7 +127,7 @@ impl ScanWindow {
             if !scan.is_empty() {
                 // Geometry is sent, and radial speeds correct the odometry; do not hold the rest.
                 scan.rcs_dbsm = Vec::new();
-                insert(&mut self.kept, scan);
+                insert(&mut self.gated, scan);
             }
         }
     }

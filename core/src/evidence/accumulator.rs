@@ -108,10 +108,10 @@ mod tests {
 
     /// What scans of one zone contribute, and what was left out.
     fn contribute(scans: &[Scan], scale: f64) -> (EvidenceDelta, Dropped) {
-        let mut gathering = EvidenceAccumulator::default();
+        let mut accumulator = EvidenceAccumulator::default();
         let (mounts, gate) = ([Mount::IDENTITY], Gate::default());
-        let (placed, dropped) = gathering.add(zone(), scans, &mounts, &eastward(), scale, &gate).unwrap();
-        (gathering.finish(placed), dropped)
+        let (counted, dropped) = accumulator.add(zone(), scans, &mounts, &eastward(), scale, &gate).unwrap();
+        (accumulator.finish(counted), dropped)
     }
 
     /// East at 10 m/s from (600000, 3300000), a pose every 100 ms.
@@ -125,9 +125,9 @@ mod tests {
         fn every_detection_lands_in_the_cell_below_it(
             x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64, steps in 1..=OFFSET_STEPS,
         ) {
-            let mut gathering = EvidenceAccumulator::with_steps(steps);
-            gathering.hit(zone(), [x, y]);
-            let contribution = gathering.finish(1);
+            let mut accumulator = EvidenceAccumulator::with_steps(steps);
+            accumulator.hit(zone(), [x, y]);
+            let contribution = accumulator.finish(1);
             let (id, evidence) = contribution.tiles.first_key_value().unwrap();
             let hit = evidence.cells[0];
             let ([x0, y0], [fx, fy]) = (id.origin(), hit.centroid());
@@ -138,7 +138,7 @@ mod tests {
             prop_assert!(evidence.observed.contains(view_block(hit.index)));
         }
 
-        /// Fails when what was in view is told scan by scan, or part by part.
+        /// Fails when what was in view is counted scan by scan, or part by part.
         #[test]
         fn the_cut_into_parts_does_not_matter(
             rows in prop::collection::vec((0..100_i64, 2.0..45.0_f32, -3.0..3.0_f32), 1..200), cut in 0..100_i64,
@@ -155,13 +155,13 @@ mod tests {
             let scans: Vec<Scan> = (0..100).map(scan).collect();
             let (poses, mounts, gate) = (eastward(), [Mount::IDENTITY], Gate::default());
             let (whole, _) = contribute(&scans, 1.0);
-            let mut gathering = EvidenceAccumulator::default();
+            let mut accumulator = EvidenceAccumulator::default();
             let (early, late) = scans.split_at(cut as usize);
             for part in [late, early] {
-                gathering.add(zone(), part, &mounts, &poses, 1.0, &gate).unwrap();
+                accumulator.add(zone(), part, &mounts, &poses, 1.0, &gate).unwrap();
             }
-            prop_assert_eq!(gathering.tiles(), whole.tiles.len());
-            prop_assert_eq!(gathering.finish(rows.len() as u64), whole);
+            prop_assert_eq!(accumulator.tiles(), whole.tiles.len());
+            prop_assert_eq!(accumulator.finish(rows.len() as u64), whole);
         }
     }
 

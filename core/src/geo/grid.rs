@@ -34,7 +34,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Sets the projection of a zone up (some microseconds; keep it for a request, not for ever).
+    /// Sets the projection of a zone up (some microseconds; hold it for a request, not for ever).
     ///
     /// # Errors
     /// When the projection library refuses, which a valid [`Zone`] gives no reason for.

@@ -135,7 +135,7 @@ fn ledger(input: &mut VarintReader<'_>) -> Option<Ledger> {
     Some(votes.into_iter().collect())
 }
 
-/// The values that are not 0: their number, their places, and they.
+/// The values that are not 0: their number, their indices, and they.
 fn put_sparse<T: Copy + Into<u64>>(out: &mut VarintWriter, values: &[T]) {
     let set =
         || (0_u32..).zip(values).map(|(at, value)| (at, (*value).into())).filter(|(_, value)| *value != 0);

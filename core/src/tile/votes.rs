@@ -1,11 +1,11 @@
-//! What a pass has said of one tile, and the bytes it is kept in.
+//! The votes of a pass in one tile, and their bytes.
 
 use super::CELLS;
 use crate::evidence::ViewBlocks;
 use crate::evidence::codec::{blocks, put_blocks};
 use crate::varint::{VarintReader, VarintWriter};
 
-/// What a pass has said of one tile.
+/// What a pass hit and had in view in one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Votes {
     /// Cells it hit, in order.

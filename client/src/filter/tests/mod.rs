@@ -20,7 +20,7 @@ fn at_s(seconds: f64) -> i64 {
 }
 
 /// Where a vehicle is that drives due true east from the start, moved by some metres.
-fn place(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
+fn position(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
     let frame = LocalPlane::around(START).unwrap();
     frame.geodetic(&Pose2::new(SPEED_MPS * seconds + x_m, y_m, 0.0)).unwrap().0
 }
@@ -29,7 +29,7 @@ fn place(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
 fn fix(seconds: f64, off_m: [f64; 2]) -> FixMeasurement {
     FixMeasurement {
         time_us: at_s(seconds),
-        at: place(seconds, off_m),
+        at: position(seconds, off_m),
         yaw_rad: 0.0,
         covariance: [0.02, 0.0, 0.0, 0.02, 0.0, 3e-6],
         contains_prior: false,
@@ -62,7 +62,7 @@ fn started() -> Filter {
 fn error_m(filter: &Filter, seconds: f64) -> [f64; 2] {
     let grid = Grid::of(START).unwrap();
     let [a, b] =
-        [filter.pose().unwrap().pose.at, place(seconds, [0.0; 2])].map(|at| grid.project(at).unwrap());
+        [filter.pose().unwrap().pose.at, position(seconds, [0.0; 2])].map(|at| grid.project(at).unwrap());
     [a[0] - b[0], a[1] - b[1]]
 }
 

@@ -150,7 +150,7 @@ fn the_ends_of_a_trip_stay_private() {
     }
 }
 
-/// Breaks when a vehicle that sets nothing tells where it was parked.
+/// Breaks when a vehicle that sets nothing shows where it was parked.
 #[test]
 fn the_ends_stay_private_unless_somebody_asks_for_them() {
     let mut r = recorder(RecorderConfig::default());

@@ -12,7 +12,7 @@ use super::super::DamagedUpload;
 const MAGIC: &[u8; 8] = b"EFXSPL01";
 const HEADER: usize = 20;
 
-/// A body with what tells that it is whole.
+/// A body behind its header, by which damage is noticed.
 pub(super) fn seal(body: &[u8]) -> Vec<u8> {
     let mut contents = Vec::with_capacity(HEADER + body.len());
     contents.extend_from_slice(MAGIC);

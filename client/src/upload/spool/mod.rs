@@ -55,25 +55,25 @@ pub enum Error {
          again, or raise the limit", .dir.display()
     )]
     Full {
-        /// The spool.
+        /// The spool's folder.
         dir: PathBuf,
         /// Bytes waiting.
         bytes: u64,
-        /// The limit.
+        /// Bytes that may wait, at most.
         max_bytes: u64,
     },
     /// Another process sends from this spool.
     #[error("the spool {} is in use by another process; give each its own folder", .dir.display())]
     InUse {
-        /// The spool.
+        /// The spool's folder.
         dir: PathBuf,
     },
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder of the spool.
         path: PathBuf,
-        /// What it says.
+        /// The error of the file system.
         source: io::Error,
     },
 }

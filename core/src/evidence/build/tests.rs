@@ -37,7 +37,7 @@ fn hit_positions(built: &BuiltEvidence) -> Vec<[f64; 2]> {
         [x + (f64::from(hit.index % 512) + fx) * CELL_M, y + (f64::from(hit.index / 512) + fy) * CELL_M]
     };
     let tiles = built.delta.tiles.iter();
-    tiles.flat_map(|(id, share)| share.cells.iter().map(|cell| position(id, cell))).collect()
+    tiles.flat_map(|(id, evidence)| evidence.cells.iter().map(|cell| position(id, cell))).collect()
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn near_a_border_both_zones_hold_the_same_positions() {
     assert_eq!(result.delta.detections, 21);
     let hits = |epsg| -> u32 {
         let tiles = result.delta.tiles.iter().filter(|(id, _)| id.zone.epsg() == epsg);
-        tiles.flat_map(|(_, share)| &share.cells).map(|cell| cell.hits).sum()
+        tiles.flat_map(|(_, evidence)| &evidence.cells).map(|cell| cell.hits).sum()
     };
     assert_eq!((hits(32631), hits(32632)), (21, 21));
 }

@@ -16,7 +16,7 @@ use super::EvidenceLimits;
 /// Scans and poses as a vehicle uploads them, their columns validated.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RawUpload {
-    /// The radars.
+    /// The radars that the scans name.
     pub mounts: Vec<Mount>,
     /// The scans and poses, in chunks.
     pub chunks: Vec<Chunk>,
@@ -69,7 +69,7 @@ pub enum BuildError {
     /// The way is too long for one upload.
     #[error("the upload touches {tiles} tiles; split it into parts of at most {most}")]
     TooManyTiles {
-        /// Tiles touched.
+        /// Tiles that the upload touches.
         tiles: usize,
         /// Tiles of one upload, at most.
         most: usize,
