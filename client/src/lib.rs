@@ -7,7 +7,7 @@
 //!   question to ask, the judgement of the answer, the fix carried on by odometry.
 //! - [`filter`]: fixes and odometry fused to a smooth pose with an honest covariance.
 //! - [`Localizer`]: sends the question, with a deadline and retries.
-//! - [`upload`]: contributing to the map: the recorder cuts a drive into uploads, the spool keeps them
+//! - [`upload`]: contributing to the map: the recorder splits a drive into uploads, the spool holds them
 //!   on disk, the uploader sends them until each is acknowledged.
 //! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
 //! - [`refusal`]: what a call came back with, typed.

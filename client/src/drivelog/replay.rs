@@ -32,7 +32,7 @@ impl DriveEvent<'_> {
 }
 
 /// Everything a drive holds in order of time; at the same time poses come before scans. Each stream
-/// keeps its own order.
+/// stays in its own order.
 pub fn replay(drive: &Drive) -> impl Iterator<Item = DriveEvent<'_>> {
     let mut odometry = drive.odometry.iter().map(|(t, pose)| DriveEvent::Odometry(t, pose)).peekable();
     let mut reference = drive.reference.iter().map(DriveEvent::Reference).peekable();

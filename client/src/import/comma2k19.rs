@@ -7,7 +7,7 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{DataFolder, Error, LocalFrame, detect, micros, on_the_globe, poses};
 use crate::drivelog::Problem;
 
 /// 19th Avenue, San Francisco: near where the drive was, for want of the true position.
@@ -46,7 +46,7 @@ struct TrackRow {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Fragment { path: folder.as_ref(), set: "comma2k19" };
+    let folder = DataFolder { path: folder.as_ref(), set: "comma2k19" };
     let odometry = poses(&folder, NOMINAL_START_US)?;
     let frame = LocalFrame::at(NOMINAL_ORIGIN);
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -61,7 +61,7 @@ pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
 }
 
 /// One scan a cycle, at the time of the cycle's first message.
-fn scans(folder: &Fragment) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &DataFolder) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward", "y_left", "v_rel"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
     folder.table("scans.csv")?.rows(&columns, |row: TrackRow| {

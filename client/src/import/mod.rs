@@ -49,12 +49,12 @@ pub enum Error {
 }
 
 /// The files of one fragment.
-struct Fragment<'a> {
+struct DataFolder<'a> {
     path: &'a Path,
     set: &'static str,
 }
 
-impl Fragment<'_> {
+impl DataFolder<'_> {
     fn table(&self, name: &str) -> Result<Table, Error> {
         Table::find(self.path, name)?
             .ok_or_else(|| Error::Missing { path: self.path.join(name), set: self.set })
@@ -75,7 +75,7 @@ struct PoseRow {
 }
 
 /// Poses in a local frame as odometry. `start_us` is the time of `t` = 0.
-fn poses(folder: &Fragment, start_us: i64) -> Result<Trajectory, Error> {
+fn poses(folder: &DataFolder, start_us: i64) -> Result<Trajectory, Error> {
     let mut rows = Vec::new();
     folder.table("poses.csv")?.rows(&["t", "x_east", "y_north", "heading"], |row: PoseRow| {
         let pose = Pose2::new(row.x_east, row.y_north, row.heading);

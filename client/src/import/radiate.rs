@@ -7,7 +7,7 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Fragment, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{DataFolder, Error, LocalFrame, detect, micros, on_the_globe, poses};
 use crate::drivelog::Problem;
 
 /// How far the poses stray from GPS/INS, RMS over the fragment, metres.
@@ -49,7 +49,7 @@ struct GpsRow {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Fragment { path: folder.as_ref(), set: "RADIATE" };
+    let folder = DataFolder { path: folder.as_ref(), set: "RADIATE" };
     let frame = LocalFrame::at(first_fix(&folder)?);
     let odometry = poses(&folder, 0)?;
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -63,7 +63,7 @@ pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
     })
 }
 
-fn first_fix(folder: &Fragment) -> Result<LatLon, Error> {
+fn first_fix(folder: &DataFolder) -> Result<LatLon, Error> {
     let mut first = None;
     folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: GpsRow| {
         if !(row.lat.abs() <= 90.0 && row.lon.abs() <= 180.0) {
@@ -75,7 +75,7 @@ fn first_fix(folder: &Fragment) -> Result<LatLon, Error> {
     first.ok_or_else(|| folder.empty("gps_ins.csv"))
 }
 
-fn scans(folder: &Fragment) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &DataFolder) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward_dsk", "y_left_dsk"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
     folder.table("scans.csv")?.rows(&columns, |row: PointRow| {
@@ -162,7 +162,7 @@ mod tests {
     #[ignore = "needs ECHOFIX_DATA_DIR"]
     fn our_local_frame_is_the_one_of_the_data() {
         let dir = data_dir("radiate_tiny_foggy");
-        let folder = Fragment { path: &dir, set: "RADIATE" };
+        let folder = DataFolder { path: &dir, set: "RADIATE" };
         let frame = LocalFrame::at(first_fix(&folder).unwrap());
         let check = |row: GpsLocal| {
             let (at, _) = frame.to_geodetic(&echofix_core::pose::Pose2::new(row.x_east, row.y_north, 0.0));

@@ -27,7 +27,7 @@ impl CacheIndex {
         self.bytes
     }
 
-    /// What they come to with a tile, which takes the place of its other version.
+    /// Bytes with another tile, which replaces its other version.
     pub(super) fn bytes_with(&self, newcomer: Option<(TileId, u64)>) -> u64 {
         newcomer.map_or(self.bytes, |(id, bytes)| {
             self.bytes + bytes - self.tiles.get(&id).map_or(0, |entry| entry.bytes)
@@ -62,7 +62,7 @@ impl CacheIndex {
         Some(entry.version)
     }
 
-    /// Takes a tile, used now, in place of another version of it.
+    /// Takes a tile, used now; it replaces another version of it.
     pub(super) fn insert(&mut self, TileVersionName { id, version }: TileVersionName, bytes: u64) {
         let used = self.tick();
         if let Some(before) = self.tiles.insert(id, CachedTile { version, bytes, used }) {

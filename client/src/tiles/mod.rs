@@ -192,7 +192,7 @@ impl TileCache {
 }
 
 impl CacheInner {
-    /// Takes a version of a tile in place of the one that is there. Tiles that were used at `since` or later make
+    /// Takes a version of a tile, which replaces the one that is there. Tiles that were used at `since` or later make
     /// no room for it. Returns how many did.
     fn put(&self, name: TileVersionName, encoded: &[u8], since: u64) -> Result<u32, Error> {
         let (path, bytes) = (name.path(&self.dir), encoded.len() as u64);

@@ -28,9 +28,9 @@ pub struct RecorderConfig {
     pub max_sigma_yaw_rad: f64,
     /// Scans between poses farther apart than this are dropped, seconds.
     pub max_pose_gap_s: f64,
-    /// An upload is cut after this time, seconds.
+    /// An upload ends after this time, seconds.
     pub cut_after_s: f64,
-    /// An upload is cut after this way, metres.
+    /// An upload ends after this distance, metres.
     pub cut_after_m: f64,
     /// Scans may come this much later than the poses that cover them, seconds.
     pub lateness_s: f64,

@@ -1,8 +1,8 @@
 //! Contributing to the map: record, spool, send.
 //!
 //! 1. [`Recorder`] takes scans and reference poses as they come, retains what can be mapped (poses known well
-//!    enough, scans fast and near enough, no movers), and cuts the drive into [`PreparedUpload`]s: of the
-//!    evidence gathered on the way, or of the scans themselves ([`UploadForm`]).
+//!    enough, scans fast and near enough, no movers), and splits the drive into [`PreparedUpload`]s: of the
+//!    evidence built on the way, or of the scans themselves ([`UploadForm`]).
 //! 2. [`Uploader::submit`] puts an upload on disk; once it returns, the upload survives crashes
 //!    and power cuts of the vehicle.
 //! 3. In the background the uploads are sent, oldest first, each until the service has

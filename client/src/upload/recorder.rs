@@ -12,7 +12,7 @@ use echofix_core::scan::{self, Mount, Scan};
 use super::{PreparedUpload, RecorderConfig, UploadForm, segment};
 
 const DAY_US: i64 = 86_400_000_000;
-/// Who stays near one place this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
+/// A vehicle that stays near one position this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 
 /// Why a measurement is not recorded.
@@ -35,12 +35,12 @@ pub enum Error {
         /// Sensors there are.
         mounts: usize,
     },
-    /// A measurement that comes after its time was cut.
+    /// A measurement that comes after the upload of its time has ended.
     #[error("the measurement at {time_us} us came after the drive was cut at {cut_us} us")]
     TooLate {
         /// The measurement's time.
         time_us: i64,
-        /// Up to where the drive is cut.
+        /// When the last upload ended.
         cut_us: i64,
     },
     /// A pose that is not finite, or whose errors are negative.
@@ -60,9 +60,9 @@ pub struct Recorder {
     config: RecorderConfig,
     contributor: String,
     mounts: Vec<Mount>,
-    /// Poses since the last cut (the first is the cut), and the metres travelled until each.
+    /// Poses since the last upload ended (the first with that end), and the metres travelled until each.
     poses: Vec<(GeoPose, f64)>,
-    /// Scans since the last cut, oldest first.
+    /// Scans since the last upload ended, oldest first.
     scans: Vec<Scan>,
     odometry: Trajectory,
     /// Where the trip began, until it is left behind.
@@ -247,7 +247,7 @@ impl Recorder {
         self.odometry.trim_before(time_us);
     }
 
-    /// Without reference poses nothing is cut: scans must not pile up.
+    /// Without reference poses no upload ends: scans must not pile up.
     fn forget_scans_without_poses(&mut self) {
         let Some(newest_us) = self.scans.last().map(|s| s.time_us) else { return };
         let patience_us = ((self.config.cut_after_s + self.config.lateness_s) * 1e6) as i64;

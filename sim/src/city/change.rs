@@ -204,7 +204,7 @@ mod tests {
         City::generate(&CityParams::default()).unwrap().changing(changes).unwrap()
     }
 
-    /// Sorted places of what stands still on a day.
+    /// Sorted positions of what stands still on a day.
     fn fixed(city: &City, day: u32) -> Vec<[i64; 2]> {
         let day = city.on_day(day);
         let mut all = Vec::new();

@@ -21,7 +21,7 @@ fn parked_cars_change_from_day_to_day_and_nothing_else_does() {
     assert_eq!(one.parked(), city.on_day(1).parked());
     let share = |day: &CityDay| day.parked().len() as f64 / city.slots().len() as f64;
     assert!((0.55..0.75).contains(&share(&one)) && (0.55..0.75).contains(&share(&two)));
-    // The same slot may be taken on both days, but hardly by a car of the same size and place.
+    // The same slot may be taken on both days, but hardly by a car of the same size and position.
     let unchanged = one.parked().iter().filter(|car| two.parked().contains(car)).count();
     assert_eq!(unchanged, 0);
     let taken_again = |car: &&Car| two.parked().iter().any(|c| c.pose.distance_m(&car.pose) < 2.0);

@@ -71,7 +71,7 @@ fn fixes_of_one_batch_are_no_more_than_one() {
 
 #[test]
 fn the_map_s_own_error_is_not_averaged_away() {
-    // For hours at one place.
+    // For hours at one position.
     let (belief, _) = followed(2000, &step(10.0, 0.0, 0.0), &Pose2::IDENTITY, &config());
     assert!(sigma_x_m(&belief) > 0.98 * config().fixes.map_m, "{}", sigma_x_m(&belief));
 }

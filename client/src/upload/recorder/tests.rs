@@ -199,7 +199,7 @@ fn what_cannot_be_recorded_is_refused() {
     assert!(matches!(r.push_scan(Scan { sensor: 1, ..scan(10) }), Err(Error::UnknownSensor { .. })));
 }
 
-/// Fails when evidence is gathered from other detections than the scans that would be sent, or tells more of the
+/// Fails when evidence is built from other detections than the scans that would be sent, or shows more of the
 /// trip than the day.
 #[test]
 fn evidence_is_what_the_scans_would_have_come_to() {
