@@ -121,7 +121,7 @@ pub fn gate_scan(scan: &mut Scan, mount: &Mount, velocity: Option<BodyVelocity>,
     dropped
 }
 
-/// Shows a row a radial speed that no stationary target would? False where the scan carries no radial
+/// True when a row shows a radial speed that no stationary target would; false where the scan has no radial
 /// speeds.
 fn is_mover(scan: &Scan, row: usize, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> bool {
     let Some(&measured) = scan.radial_speed_mps.get(row) else { return false };
