@@ -1,4 +1,4 @@
-//! Keeps the map along a recorded drive's route on disk, and tells what it knows of it.
+//! Caches the map along a recorded drive's route on disk, and lists it.
 //!
 //! ```text
 //! cargo run -p echofix-client --example tiles -- http://127.0.0.1:50051 drive.mcap
@@ -7,8 +7,8 @@
 use std::error::Error;
 
 use echofix_client::drivelog;
-use echofix_client::service::Service;
-use echofix_client::tiles::{Limits, TileCache, Want};
+use echofix_client::service::ServiceAddress;
+use echofix_client::tiles::{TileCache, TileCacheLimits, Want};
 use echofix_core::geo::LatLon;
 use tracing::info;
 
@@ -20,10 +20,10 @@ async fn main() -> Result<(), Box<dyn Error>> {
         return Err("usage: tiles http://host:port drive.mcap".into());
     };
     let route: Vec<LatLon> = drivelog::read(path)?.reference.iter().map(|pose| pose.at).collect();
-    let cache = TileCache::open(std::env::temp_dir().join("echofix-tiles"), Limits::default())?;
+    let cache = TileCache::open(std::env::temp_dir().join("echofix-tiles"), TileCacheLimits::default())?;
 
     let want = Want::along(&route, 100.0)?;
-    let done = cache.sync(&Service::at(url).endpoint()?, &want).await?;
+    let done = cache.sync(&ServiceAddress::at(url).endpoint()?, &want).await?;
     info!("{} tiles in {} bytes came, {} were up to date", done.fetched, done.bytes, done.unchanged);
     // From here on without the service.
     for (id, _) in cache.versions() {

@@ -8,9 +8,9 @@
 use std::error::Error;
 use std::time::Duration;
 
-use echofix_client::drivelog::{self, Event};
-use echofix_client::service::Service;
-use echofix_client::upload::spool::Limits;
+use echofix_client::drivelog::{self, DriveEvent};
+use echofix_client::service::ServiceAddress;
+use echofix_client::upload::spool::SpoolLimits;
 use echofix_client::upload::{self, Recorder, Spool, Uploader};
 use echofix_client::vehicle::{self, Vehicle};
 use echofix_client::{Localizer, LocalizerOptions};
@@ -24,33 +24,34 @@ async fn main() -> Result<(), Box<dyn Error>> {
         return Err("usage: vehicle http://host:port drive.mcap".into());
     };
     let drive = drivelog::read(path)?;
-    let endpoint = Service::at(url).endpoint()?;
+    let endpoint = ServiceAddress::at(url).endpoint()?;
 
     let localizer = Localizer::new(endpoint.clone(), LocalizerOptions::default());
-    let mut vehicle = Vehicle::new(vehicle::Config::default(), drive.mounts.clone());
-    let mut recorder = Recorder::new(upload::Config::default(), &drive.vehicle, drive.mounts.clone())?;
-    let spool = Spool::open(std::env::temp_dir().join("echofix-spool"), Limits::default())?;
-    let uploader = Uploader::start(endpoint, spool, upload::Options::default());
+    let mut vehicle = Vehicle::new(vehicle::VehicleConfig::default(), drive.mounts.clone());
+    let mut recorder =
+        Recorder::new(upload::RecorderConfig::default(), &drive.vehicle, drive.mounts.clone())?;
+    let spool = Spool::open(std::env::temp_dir().join("echofix-spool"), SpoolLimits::default())?;
+    let uploader = Uploader::start(endpoint, spool, upload::UploaderOptions::default());
 
     let mut next_question_us = i64::MIN;
     for event in drivelog::replay(&drive) {
         match event {
-            Event::Odometry(time_us, pose) => {
+            DriveEvent::Odometry(time_us, pose) => {
                 vehicle.push_odometry(time_us, pose)?;
                 recorder.push_odometry(time_us, pose)?;
             }
-            Event::Scan(scan) => {
+            DriveEvent::Scan(scan) => {
                 // A scan that comes too early or too late is lost, which is no reason to stop.
                 let _ = vehicle.push_scan(scan.clone());
                 let _ = recorder.push_scan(scan.clone());
             }
-            Event::Reference(pose) => {
+            DriveEvent::Reference(pose) => {
                 vehicle.push_pose(*pose)?;
                 if let Some(upload) = recorder.push_pose(*pose)? {
                     uploader.submit(upload).await?;
                 }
             }
-            Event::Truth(_) => {}
+            DriveEvent::Truth(_) => {}
         }
         if event.time_us() >= next_question_us {
             next_question_us = event.time_us() + 1_000_000;

@@ -6,14 +6,14 @@ use rand::RngExt;
 
 /// Exponential waiting times with jitter, so that a fleet does not come back all at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Policy {
+pub struct BackoffPolicy {
     /// Upper limit of the first wait.
     pub initial: Duration,
     /// Upper limit of every wait; a service's own request to wait longer is honoured beyond it.
     pub max: Duration,
 }
 
-impl Default for Policy {
+impl Default for BackoffPolicy {
     /// From half a second to a minute.
     fn default() -> Self {
         Self { initial: Duration::from_millis(500), max: Duration::from_mins(1) }
@@ -26,12 +26,12 @@ const MAX_PUSHBACK: Duration = Duration::from_hours(1);
 /// The state of one series of attempts.
 #[derive(Debug, Clone)]
 pub(crate) struct Backoff {
-    policy: Policy,
+    policy: BackoffPolicy,
     failures: u32,
 }
 
 impl Backoff {
-    pub(crate) fn new(policy: Policy) -> Self {
+    pub(crate) fn new(policy: BackoffPolicy) -> Self {
         Self { policy, failures: 0 }
     }
 
@@ -54,7 +54,8 @@ impl Backoff {
 mod tests {
     use super::*;
 
-    const POLICY: Policy = Policy { initial: Duration::from_millis(100), max: Duration::from_secs(1) };
+    const POLICY: BackoffPolicy =
+        BackoffPolicy { initial: Duration::from_millis(100), max: Duration::from_secs(1) };
 
     #[test]
     fn waits_double_up_to_the_limit_and_start_over() {
@@ -77,7 +78,7 @@ mod tests {
 
     #[test]
     fn endless_failures_do_not_overflow() {
-        let mut backoff = Backoff::new(Policy { initial: Duration::MAX, max: Duration::from_secs(1) });
+        let mut backoff = Backoff::new(BackoffPolicy { initial: Duration::MAX, max: Duration::from_secs(1) });
         for _ in 0..100 {
             assert!(backoff.next(None) <= Duration::from_secs(1));
         }

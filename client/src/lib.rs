@@ -1,4 +1,4 @@
-//! The vehicle's library: what drives along, and what makes, keeps and replays drives.
+//! The vehicle's library: it records, uploads and localizes, and reads, writes and replays drive logs.
 //!
 //! The rooms, in reading order:
 //!
@@ -7,25 +7,29 @@
 //!   question to ask, the judgement of the answer, the fix carried on by odometry.
 //! - [`filter`]: fixes and odometry fused to a smooth pose with an honest covariance.
 //! - [`Localizer`]: sends the question, with a deadline and retries.
-//! - [`upload`]: contributing to the map: the recorder cuts a drive into uploads, the spool keeps them
+//! - [`upload`]: contributing to the map: the recorder splits a drive into uploads, the spool holds them
 //!   on disk, the uploader sends them until each is acknowledged.
 //! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
 //! - [`refusal`]: what a call came back with, typed.
 //! - [`backoff`]: how long to wait before asking again.
-//! - [`wire`]: between the values of [`echofix_core`] and the columns of the contract.
+//! - [`wire`]: from the values of [`echofix_core`] to the columns of the contract.
 //! - [`drivelog`]: drives on disk, as MCAP or CSV, and their replay.
-//! - [`import`]: other people's radar data as drives.
+//! - `import`: public radar data as drives.
+//!
+//! Features, both on by default: `mcap` reads and writes drive logs as MCAP files; `csv` reads and writes them as
+//! folders of CSV files, and has the imports. A vehicle needs neither: with `default-features = false` the
+//! library takes no `mcap`, `csv` or `flate2`, and everything but reading and writing of logs is there.
 //!
 //! Nothing here reads a clock but the waits and deadlines of calls, the ids of uploads, and the cache's notes of
 //! which tile was used when: time is what the sensors say.
 //!
 //! ```no_run
-//! use echofix_client::service::Service;
-//! use echofix_client::vehicle::{Config, Vehicle};
+//! use echofix_client::service::ServiceAddress;
+//! use echofix_client::vehicle::{Vehicle, VehicleConfig};
 //! use echofix_client::{Localizer, LocalizerOptions};
 //! # async fn drive(mounts: Vec<echofix_core::scan::Mount>) -> Result<(), Box<dyn std::error::Error>> {
-//! let localizer = Localizer::new(Service::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
-//! let mut vehicle = Vehicle::new(Config::default(), mounts);
+//! let localizer = Localizer::new(ServiceAddress::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
+//! let mut vehicle = Vehicle::new(VehicleConfig::default(), mounts);
 //! // vehicle.push_odometry(..), vehicle.push_scan(..), vehicle.push_pose(..), then once a second:
 //! let question = vehicle.question()?;
 //! let answer = localizer.ask(&question).await?;
@@ -38,7 +42,7 @@ pub mod backoff;
 mod disk;
 pub mod drivelog;
 pub mod filter;
-mod gate;
+#[cfg(feature = "csv")]
 pub mod import;
 mod localizer;
 pub mod refusal;
@@ -50,4 +54,4 @@ pub mod upload;
 pub mod vehicle;
 pub mod wire;
 
-pub use localizer::{Localizer, Options as LocalizerOptions};
+pub use localizer::{Localizer, LocalizerOptions};

@@ -8,24 +8,24 @@ use tokio::time::Instant;
 use tonic::Request;
 use tonic::transport::{Channel, Endpoint};
 
-use crate::backoff::{Backoff, Policy};
+use crate::backoff::{Backoff, BackoffPolicy};
 use crate::refusal::CallError;
-use crate::vehicle::Question;
+use crate::vehicle::LocalizationQuestion;
 
 /// How patiently the service is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
-    /// An answer is waited for this long, retries included; the service is told, and stops working
+pub struct LocalizerOptions {
+    /// An answer is waited for this long, retries included; the service learns of it, and stops working
     /// on what nobody waits for.
     pub deadline: Duration,
     /// Waits between attempts.
-    pub backoff: Policy,
+    pub backoff: BackoffPolicy,
 }
 
-impl Default for Options {
+impl Default for LocalizerOptions {
     /// Two seconds, retrying after 50 ms at first.
     fn default() -> Self {
-        let backoff = Policy { initial: Duration::from_millis(50), max: Duration::from_millis(500) };
+        let backoff = BackoffPolicy { initial: Duration::from_millis(50), max: Duration::from_millis(500) };
         Self { deadline: Duration::from_secs(2), backoff }
     }
 }
@@ -34,7 +34,7 @@ impl Default for Options {
 #[derive(Debug, Clone)]
 pub struct Localizer {
     client: LocalizationServiceClient<Channel>,
-    options: Options,
+    options: LocalizerOptions,
 }
 
 impl Localizer {
@@ -42,7 +42,7 @@ impl Localizer {
     ///
     /// Must be called within a tokio runtime.
     #[must_use]
-    pub fn new(endpoint: Endpoint, options: Options) -> Self {
+    pub fn new(endpoint: Endpoint, options: LocalizerOptions) -> Self {
         // A connection that died without a word is noticed between questions.
         let endpoint = endpoint
             .http2_keep_alive_interval(Duration::from_secs(5))
@@ -58,7 +58,7 @@ impl Localizer {
     ///
     /// # Errors
     /// The last attempt's failure, or the typed refusal.
-    pub async fn ask(&self, question: &Question) -> Result<v1::LocalizeResponse, CallError> {
+    pub async fn ask(&self, question: &LocalizationQuestion) -> Result<v1::LocalizeResponse, CallError> {
         let until = Instant::now() + self.options.deadline;
         let mut backoff = Backoff::new(self.options.backoff);
         loop {
@@ -75,7 +75,11 @@ impl Localizer {
         }
     }
 
-    async fn ask_once(&self, question: &Question, until: Instant) -> Result<v1::LocalizeResponse, CallError> {
+    async fn ask_once(
+        &self,
+        question: &LocalizationQuestion,
+        until: Instant,
+    ) -> Result<v1::LocalizeResponse, CallError> {
         let mut request = Request::new(question.request.clone());
         request.set_timeout(until.saturating_duration_since(Instant::now()));
         let mut client = self.client.clone();

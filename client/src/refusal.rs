@@ -10,14 +10,14 @@ use tonic_types::StatusExt;
 /// no use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum RefusalReason {
     /// The map holds nothing around the prior.
     NoMap,
     /// Taken too slowly: clutter dominates near standstill.
     TooSlow,
     /// No detections were sent.
     NoDetections,
-    /// Too few detections to tell places apart; send a longer batch.
+    /// Too few detections to distinguish positions; send a longer batch.
     TooFewDetections,
     /// The prior's uncertainty asks for a larger search than the service makes.
     PriorTooUncertain,
@@ -31,7 +31,7 @@ pub enum Refusal {
     Other(String),
 }
 
-impl Refusal {
+impl RefusalReason {
     /// The refusal of a `google.rpc.ErrorInfo` reason.
     #[must_use]
     pub fn from_reason(reason: &str) -> Self {
@@ -65,7 +65,7 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for RefusalReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.reason())
     }
@@ -73,7 +73,7 @@ impl fmt::Display for Refusal {
 
 /// A field of a request that the service found malformed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Violation {
+pub struct FieldViolation {
     /// Path of the field, for instance `batch.scans.range_m`.
     pub field: String,
     /// What is wrong with it.
@@ -87,17 +87,17 @@ pub enum CallError {
     /// The service refuses, with a typed reason.
     #[error("the service refuses ({reason}): {message}")]
     Refused {
-        /// The reason.
-        reason: Refusal,
-        /// The service's words.
+        /// The reason the service names.
+        reason: RefusalReason,
+        /// The message the service sent.
         message: String,
     },
     /// The request is malformed; the library or its configuration is at fault.
     #[error("the service calls the request malformed: {message} {}", in_words(.violations))]
     Invalid {
         /// The fields at fault.
-        violations: Vec<Violation>,
-        /// The service's words.
+        violations: Vec<FieldViolation>,
+        /// The message the service sent.
         message: String,
     },
     /// The service sheds load.
@@ -105,7 +105,7 @@ pub enum CallError {
     Overloaded {
         /// How long the service asks to wait.
         retry_after: Option<Duration>,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// The service cannot be reached, or is restarting.
@@ -113,7 +113,7 @@ pub enum CallError {
     Unavailable {
         /// How long the service asks to wait.
         retry_after: Option<Duration>,
-        /// What failed.
+        /// The failure as the transport reports it.
         message: String,
     },
     /// No answer came within the deadline.
@@ -122,15 +122,15 @@ pub enum CallError {
     /// The vehicle may not do this; check its certificate and role.
     #[error("the service denies access: {message}; check the vehicle's certificate and role")]
     Denied {
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
     /// Any other failure of the service.
     #[error("the service failed ({code:?}): {message}")]
     Failed {
-        /// The gRPC code.
+        /// The status code of the call.
         code: Code,
-        /// The service's words.
+        /// The message the service sent.
         message: String,
     },
 }
@@ -159,7 +159,7 @@ impl From<&Status> for CallError {
         match status.code() {
             Code::FailedPrecondition => {
                 let info = status.get_details_error_info();
-                let reason = Refusal::from_reason(&info.map(|i| i.reason).unwrap_or_default());
+                let reason = RefusalReason::from_reason(&info.map(|i| i.reason).unwrap_or_default());
                 Self::Refused { reason, message }
             }
             Code::InvalidArgument => Self::Invalid { violations: violations(status), message },
@@ -178,13 +178,13 @@ impl From<&Status> for CallError {
     }
 }
 
-fn violations(status: &Status) -> Vec<Violation> {
+fn violations(status: &Status) -> Vec<FieldViolation> {
     let details = status.get_details_bad_request();
     let fields = details.map(|bad| bad.field_violations).unwrap_or_default();
-    fields.into_iter().map(|f| Violation { field: f.field, description: f.description }).collect()
+    fields.into_iter().map(|f| FieldViolation { field: f.field, description: f.description }).collect()
 }
 
-fn in_words(violations: &[Violation]) -> String {
+fn in_words(violations: &[FieldViolation]) -> String {
     let each: Vec<_> = violations.iter().map(|v| format!("[{}: {}]", v.field, v.description)).collect();
     each.join(" ")
 }
@@ -210,11 +210,11 @@ mod tests {
             let status = Status::with_error_details(Code::FailedPrecondition, "no", details);
             let error = CallError::from(&status);
             let CallError::Refused { reason: typed, .. } = &error else { panic!("{error}") };
-            assert!(!matches!(typed, Refusal::Other(_)), "{reason}");
+            assert!(!matches!(typed, RefusalReason::Other(_)), "{reason}");
             assert_eq!(typed.reason(), reason);
             assert!(!error.is_transient());
         }
-        assert_eq!(Refusal::from_reason("NEW"), Refusal::Other("NEW".into()));
+        assert_eq!(RefusalReason::from_reason("NEW"), RefusalReason::Other("NEW".into()));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 
 /// Where the service is and who the vehicle is to it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Service {
+pub struct ServiceAddress {
     /// `http://host:port`, or `https://host:port` for TLS.
     pub url: String,
     /// PEM of the authority that signed the service's certificate; needed for `https`.
@@ -18,10 +18,10 @@ pub struct Service {
 /// Why the service cannot be addressed.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// Not a URL.
+    /// The text is not a URL.
     #[error("`{url}` is not the address of a service; expected http://host:port or https://host:port")]
     Url {
-        /// The text given.
+        /// The text that is no address.
         url: String,
     },
     /// A certificate for a connection that is not encrypted, or none for one that is.
@@ -32,7 +32,7 @@ pub enum Error {
     Certificates(#[source] tonic::transport::Error),
 }
 
-impl Service {
+impl ServiceAddress {
     /// A service at an `http://host:port`.
     #[must_use]
     pub fn at(url: impl Into<String>) -> Self {
@@ -79,18 +79,18 @@ mod tests {
 
     #[test]
     fn addresses_are_checked_before_anything_is_sent() {
-        assert!(Service::at("http://127.0.0.1:50051").endpoint().is_ok());
+        assert!(ServiceAddress::at("http://127.0.0.1:50051").endpoint().is_ok());
         for url in ["", "localhost", "ftp://host:1", "not a url"] {
-            assert!(matches!(Service::at(url).endpoint(), Err(Error::Url { .. })), "{url}");
+            assert!(matches!(ServiceAddress::at(url).endpoint(), Err(Error::Url { .. })), "{url}");
         }
-        let message = Service::at("localhost").endpoint().unwrap_err().to_string();
+        let message = ServiceAddress::at("localhost").endpoint().unwrap_err().to_string();
         assert!(message.contains("http://host:port"), "{message}");
     }
 
     #[test]
     fn certificates_and_encryption_go_together() {
-        assert!(matches!(Service::at("https://host:1").endpoint(), Err(Error::Tls(_))));
-        let half = Service { ca_pem: Some(String::new()), ..Service::at("http://host:1") };
+        assert!(matches!(ServiceAddress::at("https://host:1").endpoint(), Err(Error::Tls(_))));
+        let half = ServiceAddress { ca_pem: Some(String::new()), ..ServiceAddress::at("http://host:1") };
         assert!(matches!(half.endpoint(), Err(Error::Tls(_))));
     }
 }

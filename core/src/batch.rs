@@ -1,55 +1,16 @@
 //! Scans and a trajectory become points in one frame (paper, alg. fastGlobalAlign l. 4).
 
-mod kept;
-
-pub use kept::{KeptScan, for_each_scan};
-
+use crate::gate::{Dropped, Gate, UnknownSensor, for_each_gated_scan};
 use crate::odometry::Trajectory;
 use crate::pose::Pose2;
-use crate::scan::{Gate, Mount, ScanView};
-
-/// Detections that were left out, by the reason.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Dropped {
-    /// Taken below the minimum speed.
-    pub too_slow: u64,
-    /// Farther than the maximum range.
-    pub too_far: u64,
-    /// Moving targets.
-    pub moving: u64,
-    /// Taken outside the trajectory.
-    pub without_pose: u64,
-}
-
-impl Dropped {
-    /// All of them.
-    #[must_use]
-    pub fn total(&self) -> u64 {
-        self.too_slow + self.too_far + self.moving + self.without_pose
-    }
-
-    /// Counts others' in.
-    pub fn add(&mut self, other: &Self) {
-        self.too_slow += other.too_slow;
-        self.too_far += other.too_far;
-        self.moving += other.moving;
-        self.without_pose += other.without_pose;
-    }
-}
+use crate::scan::{Mount, ScanView};
 
 /// Why scans do not form a batch.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A scan names a sensor that is not mounted.
-    #[error("scan {scan} names sensor {sensor}, but only {mounts} sensors are mounted")]
-    UnknownSensor {
-        /// Index of the scan.
-        scan: usize,
-        /// The sensor it names.
-        sensor: usize,
-        /// Number of mounts.
-        mounts: usize,
-    },
+    #[error(transparent)]
+    UnknownSensor(#[from] UnknownSensor),
     /// The odometry does not cover the reference time.
     #[error("the odometry does not cover the reference time {reference_time_us} us")]
     ReferenceOutsideOdometry {
@@ -78,7 +39,7 @@ pub struct Batch {
     pub sightings: Vec<Sighting>,
     /// Detections that were given.
     pub detections: u64,
-    /// Detections that were left out.
+    /// Detections that were dropped.
     pub dropped: Dropped,
     /// Seconds from the oldest scan to the newest.
     pub duration_s: f64,
@@ -108,7 +69,7 @@ impl Batch {
         let scans = scans.into_iter().map(Into::into);
         let Extent { rows, duration_s, travelled_m } = Extent::of(scans.clone(), odometry);
         let (mut points, mut sightings) = (Vec::with_capacity(rows), Vec::new());
-        let dropped = for_each_scan(scans, mounts, odometry, gate, |scan| {
+        let dropped = for_each_gated_scan(scans, mounts, odometry, gate, |scan| {
             if scan.points.is_empty() {
                 return;
             }
@@ -214,7 +175,7 @@ mod tests {
         scan.sensor = 3;
         let organise =
             |scans: &[Scan], t| Batch::organise(scans, &[Mount::IDENTITY], &odometry, t, &Gate::default());
-        assert!(matches!(organise(&[scan], 0), Err(Error::UnknownSensor { sensor: 3, .. })));
+        assert!(matches!(organise(&[scan], 0), Err(Error::UnknownSensor(UnknownSensor { sensor: 3, .. }))));
         assert!(matches!(organise(&[], -5), Err(Error::ReferenceOutsideOdometry { .. })));
     }
 }

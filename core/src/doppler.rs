@@ -1,6 +1,6 @@
-//! What radial speeds tell.
+//! What radial speeds say of the vehicle's own motion.
 //!
-//! - here: moving targets, told from stationary ones.
+//! - here: the radial speed of a stationary target, by which the [gate](crate::gate) knows movers.
 //! - [`ego`]: the vehicle's own velocity.
 //! - [`mod@dedrift`]: odometry, corrected by it.
 
@@ -8,12 +8,12 @@ pub mod dedrift;
 pub mod ego;
 
 use crate::odometry::BodyVelocity;
-use crate::scan::{Mount, Scan};
+use crate::scan::Mount;
 
 /// The radial speed a stationary target would show at an azimuth, metres per second, positive away
 /// from the sensor.
 ///
-/// `mount` is the sensor's place on the body, `v` the body's velocity, `azimuth_rad` counts
+/// `mount` is where the sensor sits on the body, `v` the body's velocity, `azimuth_rad` counts
 /// counter-clockwise from the boresight.
 #[must_use]
 pub fn static_radial_speed(mount: &Mount, v: BodyVelocity, azimuth_rad: f64) -> f64 {
@@ -30,23 +30,6 @@ pub fn sensor_velocity(mount: &Mount, v: BodyVelocity) -> [f64; 2] {
     let vy = v.left_mps + v.yaw_rate_radps * mount.x_m;
     let (s, c) = mount.yaw_rad.sin_cos();
     [c * vx + s * vy, c * vy - s * vx]
-}
-
-/// True when row `row` shows a radial speed that no stationary target would; false when the scan
-/// carries no radial speeds.
-#[must_use]
-pub fn is_mover(scan: &Scan, row: usize, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> bool {
-    let Some(&measured) = scan.radial_speed_mps.get(row) else { return false };
-    let expected = static_radial_speed(mount, v, f64::from(scan.azimuth_rad[row]));
-    (f64::from(measured) - expected).abs() > max_residual_mps
-}
-
-/// Drops the detections of moving targets and returns how many there were; does nothing when the
-/// scan carries no radial speeds.
-pub fn drop_movers(scan: &mut Scan, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> usize {
-    let before = scan.len();
-    scan.retain(|scan, row| !is_mover(scan, row, mount, v, max_residual_mps));
-    before - scan.len()
 }
 
 #[cfg(test)]
@@ -69,20 +52,5 @@ mod tests {
         let v = BodyVelocity { yaw_rate_radps: 0.5, ..BodyVelocity::default() };
         let nose = Mount::new(3.0, 0.0, 0.0);
         assert!((static_radial_speed(&nose, v, FRAC_PI_2) + 1.5).abs() < 1e-12);
-    }
-
-    #[test]
-    fn movers_go_and_the_rest_stays() {
-        let v = BodyVelocity { forward_mps: 10.0, ..BodyVelocity::default() };
-        let mut scan = Scan {
-            range_m: vec![20.0, 30.0, 40.0],
-            azimuth_rad: vec![0.0; 3],
-            radial_speed_mps: vec![-10.1, -2.0, -9.8],
-            ..Scan::default()
-        };
-        assert_eq!(drop_movers(&mut scan, &Mount::IDENTITY, v, 0.5), 1);
-        assert_eq!(scan.range_m, [20.0, 40.0]);
-        scan.radial_speed_mps.clear();
-        assert_eq!(drop_movers(&mut scan, &Mount::IDENTITY, v, 0.5), 0);
     }
 }

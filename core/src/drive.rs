@@ -1,4 +1,8 @@
 //! A recorded drive: what a vehicle logs, what the simulator makes, what a drive log stores.
+//!
+//! [`segment`] splits it into the parts that can be mapped from.
+
+pub mod segment;
 
 use crate::geo::LatLon;
 use crate::odometry::Trajectory;

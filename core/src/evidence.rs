@@ -1,35 +1,36 @@
-//! What a map cell knows, and what an upload tells it.
+//! What a map cell knows, and what an upload adds to it.
 //!
 //! - [`Cell`]: hits, who hit it and when, and how present it is.
-//! - [`Contribution`]: an upload's hits and what it had in view, by tile ([`Share`]); made by a
-//!   [`Gathering`]; its bytes are in [`codec`].
+//! - [`EvidenceDelta`]: an upload's hits and what it had in view, by tile ([`TileEvidence`]). [`mod@build`] makes it
+//!   of scans and poses, with an [`EvidenceAccumulator`]; its bytes are in [`codec`].
 //! - [`ViewBlocks`]: what was in view. [`presence`]: what that makes of a cell.
 //! - [`InverseSensorModel`]: the paper's.
 
+mod accumulator;
 mod blocks;
+pub mod build;
 pub mod codec;
-mod gathering;
 pub mod presence;
 mod sensor_model;
 mod view;
 
 use std::collections::BTreeMap;
 
+pub use accumulator::EvidenceAccumulator;
 pub use blocks::{
     SUPPORT_BLOCK_CELLS, SUPPORT_BLOCKS, VIEW_BLOCK_CELLS, VIEW_BLOCK_M, VIEW_BLOCKS, ViewBlocks,
     support_block, view_block,
 };
-pub use gathering::Gathering;
 pub use sensor_model::InverseSensorModel;
 
 use crate::geo::TileId;
 
-/// Sub-cell steps along a cell's side: offsets are kept to 10 cm / 256.
+/// Sub-cell steps along a cell's side: offsets are resolved to 10 cm / 256.
 pub const OFFSET_STEPS: u32 = 256;
-/// Steps that vehicles tell of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
+/// Steps that vehicles send of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
 pub const SENT_STEPS: u32 = 1;
 
-/// What a map cell knows. All but its presence is commutative: the same contributions give the same
+/// What a map cell knows. All but its presence is commutative: the same uploads give the same
 /// in whatever order they come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Cell {
@@ -40,7 +41,7 @@ pub struct Cell {
     /// Distinct contributors that hit it, 255 for all above: one that comes again on another day counts
     /// once as long as its earlier pass is remembered (see [`crate::tile::Ledger`]).
     pub contributors: u8,
-    /// Share of the passes with the cell in view that hit it, lately; [`presence::ALWAYS`] for all
+    /// Fraction of the passes with the cell in view that hit it, lately; [`presence::ALWAYS`] for all
     /// of them.
     pub presence: u16,
     /// First UTC day it was hit, counted from the Unix epoch.
@@ -52,7 +53,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Mean place of the hits within the cell, 0 to 1 along each side.
+    /// Mean position of the hits within the cell, 0 to 1 along each side.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         centroid(self.hits, self.offset_sum)
@@ -62,7 +63,7 @@ impl Cell {
     /// its hits.
     #[must_use]
     pub fn mass(&self) -> f64 {
-        f64::from(self.hits) / f64::from(self.passes.max(1)) * presence::share(self.presence)
+        f64::from(self.hits) / f64::from(self.passes.max(1)) * presence::fraction(self.presence)
     }
 }
 
@@ -92,23 +93,23 @@ pub struct CellHits {
 }
 
 impl CellHits {
-    /// Mean place of the hits within the cell, 0 to 1 along each side.
+    /// Mean position of the hits within the cell, 0 to 1 along each side.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         centroid(self.hits, self.offset_sum)
     }
 }
 
-/// What one upload tells one tile.
+/// The part of an evidence delta that lies in one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Share {
+pub struct TileEvidence {
     /// Cells that were hit, in order of their index.
     pub cells: Vec<CellHits>,
     /// Blocks that were in view. Those with a hit always count as such.
     pub observed: ViewBlocks,
 }
 
-impl Share {
+impl TileEvidence {
     /// Hits, and nothing in view beyond their blocks. The cells must be in order of their index.
     #[must_use]
     pub fn of_hits(cells: Vec<CellHits>) -> Self {
@@ -123,11 +124,11 @@ impl Share {
     }
 }
 
-/// What one upload tells the map.
+/// What one upload adds to the map.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Contribution {
-    /// Shares by tile. A tile in which nothing was hit has none, though it may have been in view.
-    pub tiles: BTreeMap<TileId, Share>,
+pub struct EvidenceDelta {
+    /// Evidence by tile. A tile in which nothing was hit has none, though it may have been in view.
+    pub tiles: BTreeMap<TileId, TileEvidence>,
     /// Detections that count, in the zone the positions belong to.
     pub detections: u64,
 }

@@ -6,14 +6,15 @@
 //!
 //! - [`pose`]: planar poses and how they compose.
 //! - [`geo`]: WGS-84 to UTM and back, meridian convergence, scale factor, zones, tile ids.
-//! - [`scan`]: one radar's detections at one time, where the radar sits, which detections to keep.
+//! - [`scan`]: one radar's detections at one time, and where the radar sits.
 //! - [`odometry`]: the vehicle's relative trajectory, interpolated at scan times.
-//! - [`datum`]: how far a map's own georeference errs, as its contributors say.
-//! - [`drive`]: one recorded drive, as a value.
-//! - [`doppler`]: movers, the vehicle's own velocity and corrected odometry from radial speeds.
+//! - [`datum`]: by how much vetting moved the passes over a tile: the map's own offset.
+//! - [`drive`]: one recorded drive, and its segments that can be mapped from.
+//! - [`doppler`]: the vehicle's own velocity and corrected odometry from radial speeds.
+//! - [`gate`]: which detections pass, and why the others are dropped.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
-//! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
-//! - [`contribution`]: from scans and poses to what an upload contributes, zone by zone.
+//! - [`evidence`]: what a map cell knows; the evidence delta of an upload, and how it is built from scans
+//!   and poses; the inverse sensor model.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
@@ -27,11 +28,11 @@
 pub mod agreement;
 pub mod align;
 pub mod batch;
-pub mod contribution;
 pub mod datum;
 pub mod doppler;
 pub mod drive;
 pub mod evidence;
+pub mod gate;
 pub mod geo;
 pub mod odometry;
 pub mod pose;

@@ -139,13 +139,13 @@ impl Trajectory {
         self.time_us.is_empty()
     }
 
-    /// Length of the way from the first pose to the last, metres.
+    /// Distance travelled from the first pose to the last, metres.
     #[must_use]
     pub fn travelled_m(&self) -> f64 {
         self.pose.windows(2).map(|w| w[0].distance_m(&w[1])).sum()
     }
 
-    /// Length of the way between two times, metres; what lies outside the trajectory adds nothing.
+    /// Distance travelled between two times, metres; what lies outside the trajectory adds nothing.
     #[must_use]
     pub fn travelled_between_m(&self, from_us: i64, to_us: i64) -> f64 {
         let inside =

@@ -1,4 +1,4 @@
-//! One radar scan, the place of the radar on the vehicle, and which detections are kept.
+//! One radar scan, and where its radar sits on the vehicle.
 
 use crate::pose::Pose2;
 
@@ -17,7 +17,8 @@ pub struct Scan {
     pub azimuth_rad: Vec<f32>,
     /// Radial speed relative to the sensor, metres per second, positive away from it.
     pub radial_speed_mps: Vec<f32>,
-    /// Radar cross section, decibel square metres.
+    /// Radar cross section, decibel square metres. Recorded, not read yet: drive logs and the contract carry
+    /// it, everything behind them leaves it out.
     pub rcs_dbsm: Vec<f32>,
 }
 
@@ -69,7 +70,7 @@ pub enum Error {
     ColumnLength {
         /// The offending column.
         column: &'static str,
-        /// Its length.
+        /// Values in the column.
         found: usize,
         /// The length of `range_m`.
         expected: usize,
@@ -103,7 +104,7 @@ impl Scan {
         self.range_m.is_empty()
     }
 
-    /// The detection's place in the sensor's frame, metres (x along the boresight, y left).
+    /// The detection's position in the sensor's frame, metres (x along the boresight, y left).
     #[must_use]
     pub fn sensor_point(&self, row: usize) -> [f64; 2] {
         let (range, azimuth) = (f64::from(self.range_m[row]), f64::from(self.azimuth_rad[row]));
@@ -137,11 +138,11 @@ impl Scan {
         }
     }
 
-    /// Keeps the rows for which `keep` says so, in order.
+    /// Retains the rows for which `keep` is true, in order.
     pub fn retain(&mut self, mut keep: impl FnMut(&Self, usize) -> bool) {
-        let kept: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
+        let retained: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
         let filter = |column: &mut Vec<f32>| {
-            let mut rows = kept.iter();
+            let mut rows = retained.iter();
             column.retain(|_| rows.next().copied().unwrap_or(false));
         };
         filter(&mut self.range_m);
@@ -160,24 +161,6 @@ pub fn first_row(column: &[f32], wrong: impl Fn(f32) -> bool) -> Option<usize> {
 
 /// Where a radar sits on the body: metres from the body's origin, boresight yaw from forward.
 pub type Mount = Pose2;
-
-/// Which detections are kept for mapping and localization (paper, Sec. "Mapping").
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Gate {
-    /// Scans taken slower than this are dropped, metres per second: clutter is intense at rest.
-    pub min_speed_mps: f64,
-    /// Detections farther than this are dropped, metres: they are mostly clutter.
-    pub max_range_m: f64,
-    /// Detections whose radial speed differs more than this from a stationary target's are
-    /// dropped as movers, metres per second.
-    pub max_doppler_residual_mps: f64,
-}
-
-impl Default for Gate {
-    fn default() -> Self {
-        Self { min_speed_mps: 1.0, max_range_m: 50.0, max_doppler_residual_mps: 0.5 }
-    }
-}
 
 #[cfg(test)]
 mod tests {

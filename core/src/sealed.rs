@@ -1,4 +1,4 @@
-//! The frame around all bytes of ours: what they are, in which version, and their checksum.
+//! The frame around all encoded values: their format, its version, and a checksum.
 
 /// Bytes before the body.
 const HEADER: usize = 8;
@@ -7,15 +7,15 @@ const HEADER: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
     /// Too short, or they do not start as they should.
-    #[error("these bytes are not of this kind")]
+    #[error("these bytes are not of this format")]
     NotOurs,
-    /// Of this kind, but written by an older or newer version of the software.
+    /// Of this format, but written by an older or newer version of the software.
     #[error("these bytes have format version {found}, but this software reads version {known} only: {}",
         advice(*.found, *.known))]
     Version {
-        /// Of the bytes.
+        /// The format version of the bytes.
         found: u8,
-        /// The one that can be read.
+        /// The format version that this software reads.
         known: u8,
     },
     /// The checksum does not match.
@@ -30,14 +30,14 @@ fn advice(found: u8, known: u8) -> &'static str {
     if found < known { "make them again from their source" } else { "update it" }
 }
 
-/// What bytes are.
+/// A format: how its bytes begin.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Kind {
+pub(crate) struct SealedFormat {
     pub(crate) magic: [u8; 3],
     pub(crate) version: u8,
 }
 
-impl Kind {
+impl SealedFormat {
     /// `magic | version (1 byte) | CRC-32C of the body (4 bytes, LE) | body`
     pub(crate) fn seal(self, body: &[u8]) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER + body.len());
@@ -48,7 +48,7 @@ impl Kind {
         out
     }
 
-    /// The body of bytes of this kind and version, undamaged.
+    /// The body of bytes of this format and version, undamaged.
     pub(crate) fn unseal(self, bytes: &[u8]) -> Result<&[u8], DecodeError> {
         let ([a, b, c, version, sum @ ..], body) =
             bytes.split_first_chunk::<HEADER>().ok_or(DecodeError::NotOurs)?;
@@ -82,14 +82,14 @@ mod tests {
 
     #[test]
     fn other_kinds_versions_and_damage_are_told_apart() {
-        let kind = Kind { magic: *b"EFT", version: 2 };
-        let sealed = kind.seal(b"body");
-        assert_eq!(kind.unseal(&sealed), Ok(&b"body"[..]));
-        assert_eq!(Kind { magic: *b"EFL", version: 2 }.unseal(&sealed), Err(DecodeError::NotOurs));
-        assert_eq!(kind.unseal(&sealed[..7]), Err(DecodeError::NotOurs));
-        assert_eq!(kind.unseal(&sealed[..11]), Err(DecodeError::Checksum));
-        let old = Kind { version: 1, ..kind }.seal(b"body");
-        let error = kind.unseal(&old).unwrap_err();
+        let format = SealedFormat { magic: *b"EFT", version: 2 };
+        let sealed = format.seal(b"body");
+        assert_eq!(format.unseal(&sealed), Ok(&b"body"[..]));
+        assert_eq!(SealedFormat { magic: *b"EFL", version: 2 }.unseal(&sealed), Err(DecodeError::NotOurs));
+        assert_eq!(format.unseal(&sealed[..7]), Err(DecodeError::NotOurs));
+        assert_eq!(format.unseal(&sealed[..11]), Err(DecodeError::Checksum));
+        let old = SealedFormat { version: 1, ..format }.seal(b"body");
+        let error = format.unseal(&old).unwrap_err();
         assert_eq!(error, DecodeError::Version { found: 1, known: 2 });
         assert!(error.to_string().contains("make them again"), "{error}");
     }

@@ -1,13 +1,13 @@
-//! LEB128 variable-length integers, the alphabet of tiles, contributions and journal records.
+//! LEB128 variable-length integers, the alphabet of tiles, evidence deltas and journal records.
 
 /// Appends values to bytes.
 #[derive(Debug, Default)]
-pub struct Writer {
+pub struct VarintWriter {
     /// What was written so far.
     pub bytes: Vec<u8>,
 }
 
-impl Writer {
+impl VarintWriter {
     /// A value: seven bits a byte, the lowest first.
     pub fn put(&mut self, mut value: u64) {
         while value >= 0x80 {
@@ -45,12 +45,12 @@ impl Writer {
 
 /// Takes values off bytes; `None` where they end too early or a value does not fit.
 #[derive(Debug)]
-pub struct Reader<'a> {
+pub struct VarintReader<'a> {
     /// What is left.
     pub rest: &'a [u8],
 }
 
-impl<'a> Reader<'a> {
+impl<'a> VarintReader<'a> {
     /// The next value.
     pub fn get<T: TryFrom<u64>>(&mut self) -> Option<T> {
         let mut value = 0_u64;
@@ -69,7 +69,7 @@ impl<'a> Reader<'a> {
         None
     }
 
-    /// What [`Writer::put_signed`] wrote.
+    /// What [`VarintWriter::put_signed`] wrote.
     pub fn get_signed<T: TryFrom<i64>>(&mut self) -> Option<T> {
         let folded: u64 = self.get()?;
         T::try_from((folded >> 1) as i64 ^ -((folded & 1) as i64)).ok()
@@ -80,7 +80,7 @@ impl<'a> Reader<'a> {
         self.get().filter(|count| *count <= self.rest.len())
     }
 
-    /// So many values below `limit`, as [`Writer::put_ascending`] wrote them.
+    /// So many values below `limit`, as [`VarintWriter::put_ascending`] wrote them.
     pub fn ascending(&mut self, count: usize, limit: u32) -> Option<Vec<u32>> {
         if count > self.rest.len() {
             return None;
@@ -101,7 +101,7 @@ impl<'a> Reader<'a> {
         Some(taken)
     }
 
-    /// What [`Writer::put_bytes`] wrote.
+    /// What [`VarintWriter::put_bytes`] wrote.
     pub fn bytes(&mut self) -> Option<&'a [u8]> {
         let count = self.get()?;
         self.take(count)
@@ -125,14 +125,14 @@ mod tests {
             values: Vec<u64>, signed: Vec<i64>, bytes: Vec<u8>,
             rising in prop::collection::btree_set(0..10_000_u32, 0..20),
         ) {
-            let mut out = Writer::default();
+            let mut out = VarintWriter::default();
             out.put_all(values.iter().copied());
             for value in &signed {
                 out.put_signed(*value);
             }
             out.put_bytes(&bytes);
             out.put_ascending(rising.iter().copied());
-            let mut input = Reader { rest: &out.bytes };
+            let mut input = VarintReader { rest: &out.bytes };
             for value in values {
                 prop_assert_eq!(input.get::<u64>(), Some(value));
             }
@@ -147,20 +147,20 @@ mod tests {
 
         #[test]
         fn any_bytes_are_read_without_harm(bytes: Vec<u8>, count: u32) {
-            let mut input = Reader { rest: &bytes };
+            let mut input = VarintReader { rest: &bytes };
             while input.get::<u32>().is_some() {}
-            let _ = Reader { rest: &bytes }.ascending(count as usize, 1 << 18);
+            let _ = VarintReader { rest: &bytes }.ascending(count as usize, 1 << 18);
         }
     }
 
     #[test]
     fn values_beyond_the_limit_or_the_type_are_refused() {
-        let mut out = Writer::default();
+        let mut out = VarintWriter::default();
         out.put_ascending([3, 9].into_iter());
-        assert_eq!(Reader { rest: &out.bytes }.ascending(2, 10), Some(vec![3, 9]));
-        assert_eq!(Reader { rest: &out.bytes }.ascending(2, 9), None);
-        let mut out = Writer::default();
+        assert_eq!(VarintReader { rest: &out.bytes }.ascending(2, 10), Some(vec![3, 9]));
+        assert_eq!(VarintReader { rest: &out.bytes }.ascending(2, 9), None);
+        let mut out = VarintWriter::default();
         out.put(300);
-        assert_eq!(Reader { rest: &out.bytes }.get::<u8>(), None);
+        assert_eq!(VarintReader { rest: &out.bytes }.get::<u8>(), None);
     }
 }

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, bail};
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::vehicle::{Config, NotReady, Question, Vehicle};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::vehicle::{LocalizationQuestion, NotReady, Vehicle, VehicleConfig};
 use echofix_core::drive::{Drive, GeoPose};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -42,7 +42,7 @@ impl QuestionPlan {
 #[derive(Debug, Clone)]
 pub struct TruthQuestion {
     /// The question.
-    pub question: Question,
+    pub question: LocalizationQuestion,
     /// Where the vehicle truly was at its time.
     pub truth: GeoPose,
 }
@@ -72,7 +72,7 @@ impl DriveQuestions {
                 drive.vehicle
             )
         })?;
-        let config = Config { window_s: plan.batch_s, ..Config::default() };
+        let config = VehicleConfig { window_s: plan.batch_s, ..VehicleConfig::default() };
         let mut vehicle = Vehicle::new(config, drive.mounts.clone());
         let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
         let mut questions: Vec<TruthQuestion> = Vec::new();
@@ -80,11 +80,11 @@ impl DriveQuestions {
         let mut next_us = drive.scans.first().map_or(0, |s| s.time_us + (plan.warm_up_s * 1e6) as i64);
         for event in replay(drive) {
             match event {
-                Event::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
-                Event::Scan(scan) => vehicle.push_scan(scan.clone())?,
-                Event::Reference(_) | Event::Truth(_) => {}
+                DriveEvent::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
+                DriveEvent::Scan(scan) => vehicle.push_scan(scan.clone())?,
+                DriveEvent::Reference(_) | DriveEvent::Truth(_) => {}
             }
-            let Event::Odometry(now_us, _) = event else { continue };
+            let DriveEvent::Odometry(now_us, _) = event else { continue };
             let Some(true_now) = truth.at(now_us).filter(|_| now_us >= next_us) else { continue };
             vehicle.forget_position();
             vehicle.push_pose(true_now)?;
@@ -118,7 +118,7 @@ impl DriveQuestions {
     }
 
     /// A question, in order of time.
-    pub fn question(&self, index: usize) -> &Question {
+    pub fn question(&self, index: usize) -> &LocalizationQuestion {
         &self.questions[index].question
     }
 

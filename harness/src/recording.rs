@@ -3,10 +3,10 @@
 use std::fmt;
 
 use anyhow::bail;
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::upload::{Config as RecorderConfig, Recorder, Upload};
-use echofix_core::batch::Dropped;
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::upload::{PreparedUpload, Recorder, RecorderConfig};
 use echofix_core::drive::Drive;
+use echofix_core::gate::Dropped;
 use serde::Serialize;
 
 /// Detections that the vehicle left out, by the reason.
@@ -48,7 +48,7 @@ pub fn to_the_ends() -> RecorderConfig {
 /// The uploads of a drive.
 pub struct RecordedDrive {
     /// In order of time.
-    pub uploads: Vec<Upload>,
+    pub uploads: Vec<PreparedUpload>,
     /// Detections that are in none of them.
     pub left_out: LeftOut,
 }
@@ -68,10 +68,10 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
     let mut uploads = Vec::new();
     for event in replay(drive) {
         match event {
-            Event::Odometry(time_us, pose) => recorder.push_odometry(time_us, pose)?,
-            Event::Reference(pose) => uploads.extend(recorder.push_pose(*pose)?),
-            Event::Scan(scan) => recorder.push_scan(scan.clone())?,
-            Event::Truth(_) => {}
+            DriveEvent::Odometry(time_us, pose) => recorder.push_odometry(time_us, pose)?,
+            DriveEvent::Reference(pose) => uploads.extend(recorder.push_pose(*pose)?),
+            DriveEvent::Scan(scan) => recorder.push_scan(scan.clone())?,
+            DriveEvent::Truth(_) => {}
         }
     }
     let left_out = recorder.dropped().into();

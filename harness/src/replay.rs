@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use echofix_client::refusal::CallError;
-use echofix_client::service::Service;
+use echofix_client::service::ServiceAddress;
 use echofix_client::{Localizer, LocalizerOptions};
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
@@ -34,7 +34,7 @@ pub struct ReplayedDrive {
 /// When the address is not one.
 pub fn patient_localizer(server: &str) -> anyhow::Result<Localizer> {
     let options = LocalizerOptions { deadline: Duration::from_mins(1), ..LocalizerOptions::default() };
-    Ok(Localizer::new(Service::at(server).endpoint()?, options))
+    Ok(Localizer::new(ServiceAddress::at(server).endpoint()?, options))
 }
 
 /// Asks all that a drive has to ask, so many questions at once.

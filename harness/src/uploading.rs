@@ -4,9 +4,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use echofix_client::service::Service;
-use echofix_client::upload::spool::{Limits, Spool};
-use echofix_client::upload::{Config as RecorderConfig, Options, Uploader};
+use echofix_client::service::ServiceAddress;
+use echofix_client::upload::spool::{Spool, SpoolLimits};
+use echofix_client::upload::{RecorderConfig, Uploader, UploaderOptions};
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
 use serde::Serialize;
@@ -45,8 +45,8 @@ pub async fn upload(
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
     let RecordedDrive { uploads, left_out } = record(drive, config)?;
-    let spool = Spool::open(spool, Limits::default()).context("opening the upload spool")?;
-    let uploader = Uploader::start(Service::at(server).endpoint()?, spool, Options::default());
+    let spool = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
+    let uploader = Uploader::start(ServiceAddress::at(server).endpoint()?, spool, UploaderOptions::default());
     let mut done = UploadedDrive { left_out, ..UploadedDrive::default() };
     bar.inc_length(uploads.len() as u64);
     for upload in uploads {

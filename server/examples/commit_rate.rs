@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use echofix_core::evidence::codec;
-use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
+use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy, Upload};
 use uuid::Uuid;
@@ -26,10 +26,10 @@ fn upload(zone: Zone, number: u32) -> Upload {
     let hits = |i: u32| CellHits { index: i * 600 + number % 600, hits: 2, offset_sum: [100 + i % 99, 300] };
     // A drive through a neighbourhood of its own; every fiftieth drive is the same.
     let home = (number % 50) as i32 * TILES;
-    let share = || Share::of_hits((0..CELLS).map(hits).collect());
+    let share = || TileEvidence::of_hits((0..CELLS).map(hits).collect());
     let tiles = (0..TILES).map(|x| (TileId { zone, y: 65_000, x: home + x }, share()));
     let contribution =
-        Contribution { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
+        EvidenceDelta { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
     let pass = Pass { day: 20_000 + (number / 1000) as u16, contributor: u64::from(number) };
     Upload { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use echofix_core::drive::Drive;
+use echofix_core::gate::Gate;
 use echofix_core::geo::CellIndex;
-use echofix_core::scan::Gate;
 use echofix_sim::{City, CityParams, DriveParams, Error, Route, simulate};
 
 fn main() -> Result<(), Error> {

@@ -1,7 +1,7 @@
 //! A downtown as hard as the paper's, for its experiments.
 //!
 //! The default town and drive are richer in structure than what the paper's radars saw: its method
-//! places 95 % of the 5 s batches within 27 cm there. These parameters were tuned, with that method
+//! locates 95 % of the 5 s batches within 27 cm there. These parameters were tuned, with that method
 //! alone and on towns 1 to 5 and 11 to 16, until it came near its printed figures (95 % within 44 cm and 0.59
 //! degrees, some 7 500 occupied cells a batch, batches of less than 4 s clearly worse).
 //!

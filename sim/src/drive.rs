@@ -7,7 +7,7 @@ use echofix_core::scan::Scan;
 
 use crate::city::{CityDay, Mover};
 use crate::error::{Error, within};
-use crate::motion::{Motion, MotionParams, State};
+use crate::motion::{Motion, MotionParams, MotionState};
 use crate::odometry::OdometryModel;
 use crate::radar::{RadarSpec, Scanner};
 use crate::reference::{PoseError, Wander};
@@ -128,7 +128,12 @@ impl Clock {
 }
 
 /// Scans of all radars in order of time; they take turns within a period.
-fn scans(day: &CityDay<'_>, params: &DriveParams, clock: &Clock, at: impl Fn(i64) -> State) -> Vec<Scan> {
+fn scans(
+    day: &CityDay<'_>,
+    params: &DriveParams,
+    clock: &Clock,
+    at: impl Fn(i64) -> MotionState,
+) -> Vec<Scan> {
     let today = u64::from(day.day());
     let count = params.radars.len() as f64;
     let mut all = Vec::new();

@@ -5,7 +5,7 @@ use echofix_core::{geo, odometry};
 /// Why a city or a drive cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// The town's place on the globe cannot be put on a map.
+    /// The town's position on the globe is not on the map.
     #[error("the city has no place on the map: {0}")]
     Place(#[from] geo::Error),
     /// A parameter is outside what the generator can lay out.

@@ -17,7 +17,7 @@
 //!
 //! - [`error`]: why a city or a drive cannot be made.
 //! - [`rng`]: independent random streams by seed and purpose.
-//! - [`plane`]: points and segments; `index`: which of them are near a place or along a ray.
+//! - [`plane`]: points and segments; `index`: which of them are near a point or along a ray.
 //! - [`site`]: where the town lies on the globe.
 //! - [`city`]: streets, building fronts, street furniture; parked cars and traffic of a day.
 //! - [`scenes`]: single streets that are made to be mistaken.

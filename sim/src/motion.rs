@@ -38,7 +38,7 @@ impl Default for MotionParams {
 
 /// The body's state at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct State {
+pub struct MotionState {
     /// Pose of the body's origin (the middle of the rear axle) in the city.
     pub pose: Pose2,
     /// Speed along the body's x axis, metres per second.
@@ -47,7 +47,7 @@ pub struct State {
     pub yaw_rate_radps: f64,
 }
 
-impl State {
+impl MotionState {
     /// Velocity in the city of a point fixed to the body, metres per second.
     #[must_use]
     pub fn velocity_of(&self, [x_m, y_m]: Point) -> Point {
@@ -94,14 +94,14 @@ impl<'a> Motion<'a> {
 
     /// The state at some time after the start; at rest after the end.
     #[must_use]
-    pub fn at(&self, time_s: f64) -> State {
+    pub fn at(&self, time_s: f64) -> MotionState {
         let tick = ((time_s / TICK_S) as usize).min(self.speed_mps.len() - 2);
         let rest_s = (time_s - tick as f64 * TICK_S).clamp(0.0, TICK_S);
         let (v0, v1) = (self.speed_mps[tick], self.speed_mps[tick + 1]);
         let change = rest_s * (v1 - v0) / TICK_S;
         let point = self.path.at(self.way_m[tick] + rest_s * (v0 + 0.5 * change));
         let speed_mps = v0 + change;
-        State { pose: point.pose, speed_mps, yaw_rate_radps: point.curvature_radpm * speed_mps }
+        MotionState { pose: point.pose, speed_mps, yaw_rate_radps: point.curvature_radpm * speed_mps }
     }
 }
 
@@ -216,7 +216,7 @@ mod tests {
 
     #[test]
     fn a_lever_arm_adds_the_turn() {
-        let state = State {
+        let state = MotionState {
             pose: Pose2::new(5.0, 5.0, std::f64::consts::FRAC_PI_2),
             speed_mps: 4.0,
             yaw_rate_radps: 0.5,

@@ -27,7 +27,7 @@ impl Default for OdometryModel {
 /// One-sigma errors of integrated speed and yaw rate; biases are drawn once a drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DeadReckoning {
-    /// Share by which distances are wrong.
+    /// Fraction by which distances are wrong.
     pub scale: f64,
     /// Constant error of the yaw rate, radians per second.
     pub gyro_bias_radps: f64,

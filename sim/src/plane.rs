@@ -48,14 +48,14 @@ pub fn left(v: Point) -> Point {
 
 /// A straight piece between two points.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Segment {
+pub struct LineSegment {
     /// One end.
     pub a: Point,
     /// The other end.
     pub b: Point,
 }
 
-impl Segment {
+impl LineSegment {
     /// Where the way from `p` to `q` crosses the segment, as a fraction of that way.
     #[must_use]
     pub fn crossing(&self, p: Point, q: Point) -> Option<f64> {
@@ -82,7 +82,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_crossing_lies_on_both(a in point(), b in point(), p in point(), q in point()) {
-            if let Some(t) = (Segment { a, b }).crossing(p, q) {
+            if let Some(t) = (LineSegment { a, b }).crossing(p, q) {
                 let at = add(p, t, sub(q, p));
                 let detour = distance(a, at) + distance(at, b) - distance(a, b);
                 prop_assert!(detour.abs() < 1e-6, "{detour}");
@@ -91,7 +91,7 @@ mod tests {
 
         #[test]
         fn diagonals_of_a_convex_quadrilateral_cross(w in 1.0..50.0, h in 1.0..50.0_f64) {
-            let cross = Segment { a: [0.0, 0.0], b: [w, h] }.crossing([w, 0.0], [0.0, h]);
+            let cross = LineSegment { a: [0.0, 0.0], b: [w, h] }.crossing([w, 0.0], [0.0, h]);
             prop_assert!((cross.unwrap() - 0.5).abs() < 1e-9);
         }
     }

@@ -6,7 +6,7 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use echofix_core::pose::Pose2;
 
-use crate::city::{City, CityParams, Kind, Look, Network, Slot, Structure};
+use crate::city::{City, CityParams, Look, Network, ParkingSlot, ReflectorKind, Structure};
 use crate::error::Error;
 use crate::rng::{Purpose, stream, uniform};
 
@@ -26,7 +26,7 @@ pub enum Scene {
     ParkedCars,
     /// Two facades, each bay like the next.
     RepeatedFacades,
-    /// Two even walls: nothing tells places along them apart.
+    /// Two even walls: nothing distinguishes positions along them.
     Tunnel,
     /// Nothing stands there at all.
     OpenField,
@@ -76,30 +76,30 @@ fn frame() -> Pose2 {
     Pose2::new(-0.5 * LENGTH_M, 0.0, 0.0)
 }
 
-/// Places along the street, so far apart.
-fn places(spacing_m: f64) -> impl Iterator<Item = f64> {
+/// Positions along the street, so far apart.
+fn positions(spacing_m: f64) -> impl Iterator<Item = f64> {
     (0..(LENGTH_M / spacing_m) as usize).map(move |k| (k as f64 + 0.5) * spacing_m)
 }
 
-fn rows_of_slots(period_m: f64) -> Vec<Slot> {
+fn rows_of_slots(period_m: f64) -> Vec<ParkingSlot> {
     let row = |sign: f64| {
         let yaw_rad = if sign > 0.0 { PI } else { 0.0 };
-        let slot = move |x| Slot {
+        let slot = move |x| ParkingSlot {
             pose: frame().compose(&Pose2::new(x, sign * (KERB_M - 1.15), yaw_rad)),
             period_m,
         };
-        places(period_m).map(slot)
+        positions(period_m).map(slot)
     };
     SIDES.into_iter().flat_map(row).collect()
 }
 
 /// Windows of one size at one spacing: each jamb is seen from one oblique side.
 fn facades(structure: &mut Structure, pitch_m: f64) {
-    let jamb = Look { kind: Kind::Corner, probability: 0.3, rcs_dbsm: 5.0, edge_rad: 1.2 };
+    let jamb = Look { kind: ReflectorKind::Corner, probability: 0.3, rcs_dbsm: 5.0, edge_rad: 1.2 };
     for sign in SIDES {
         structure.wall(&frame(), &[[0.0, sign * FRONT_M], [LENGTH_M, sign * FRONT_M]]);
         let (y, out) = (sign * (FRONT_M - PROUD_M), -sign * FRAC_PI_2);
-        for x in places(pitch_m) {
+        for x in positions(pitch_m) {
             for side in [-1.0, 1.0] {
                 let facing = out - side * sign * FRAC_PI_4;
                 structure.reflectors.push(jamb.at(&frame(), [x + side * 0.8, y], facing));
@@ -110,12 +110,12 @@ fn facades(structure: &mut Structure, pitch_m: f64) {
 
 /// Walls whose every decimetre answers alike.
 fn walls(structure: &mut Structure) {
-    let rough = Look { kind: Kind::Wall, probability: 0.06, rcs_dbsm: 0.0, edge_rad: 1.3 };
+    let rough = Look { kind: ReflectorKind::Wall, probability: 0.06, rcs_dbsm: 0.0, edge_rad: 1.3 };
     for sign in SIDES {
         structure.wall(&frame(), &[[0.0, sign * FRONT_M], [LENGTH_M, sign * FRONT_M]]);
-        for x in places(0.1) {
-            let place = [x, sign * (FRONT_M - PROUD_M)];
-            structure.reflectors.push(rough.at(&frame(), place, -sign * FRAC_PI_2));
+        for x in positions(0.1) {
+            let position = [x, sign * (FRONT_M - PROUD_M)];
+            structure.reflectors.push(rough.at(&frame(), position, -sign * FRAC_PI_2));
         }
     }
 }

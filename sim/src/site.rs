@@ -6,7 +6,7 @@ use echofix_core::pose::Pose2;
 use crate::error::Error;
 use crate::plane::Point;
 
-/// The place of the city's own plane on the UTM grid.
+/// The pose of the city's own plane on the UTM grid.
 ///
 /// The city is laid out in ground metres around its origin, x towards grid east and y towards grid
 /// north, because that is what sensors and odometry measure. Map metres are ground metres times
@@ -20,7 +20,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// Places a city's origin.
+    /// Sets a city's origin.
     ///
     /// # Errors
     /// When the origin is not covered by UTM.
@@ -52,13 +52,13 @@ impl Site {
         self.scale
     }
 
-    /// Map metres [easting, northing] of a place in the city, which is given in ground metres.
+    /// Map metres [easting, northing] of a position in the city, which is given in ground metres.
     #[must_use]
     pub fn to_map(&self, [x_m, y_m]: Point) -> Point {
         [self.origin_map_m[0] + self.scale * x_m, self.origin_map_m[1] + self.scale * y_m]
     }
 
-    /// The place in the city, ground metres, of map metres [easting, northing].
+    /// The position in the city, ground metres, of map metres [easting, northing].
     #[must_use]
     pub fn from_map(&self, [x_m, y_m]: Point) -> Point {
         [(x_m - self.origin_map_m[0]) / self.scale, (y_m - self.origin_map_m[1]) / self.scale]

@@ -12,10 +12,10 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Prior, Search, Task};
 use echofix_core::batch::Batch;
 use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{Gathering, Pass};
+use echofix_core::evidence::{EvidenceAccumulator, Pass};
+use echofix_core::gate::Gate;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
-use echofix_core::scan::Gate;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::window::Frame;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
@@ -51,7 +51,7 @@ impl Scene {
         for contributor in 0..5 {
             let seen = drive(0, contributor);
             let poses = on_grid(&grid, &seen.reference);
-            let mut gathering = Gathering::default();
+            let mut gathering = EvidenceAccumulator::default();
             let (detections, _) = gathering
                 .add(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
                 .expect("every sensor is mounted");

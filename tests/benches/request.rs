@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use divan::counter::ItemsCount;
 use divan::{AllocProfiler, Bencher};
 use echofix_core::batch::Batch;
-use echofix_core::scan::Gate;
+use echofix_core::gate::Gate;
 use echofix_proto::v1::LocalizeRequest;
 use echofix_server::grpc::decode;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};

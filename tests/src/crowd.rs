@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use echofix_core::drive::Drive;
-use echofix_core::evidence::{CellHits, Contribution, Share, codec};
+use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence, codec};
 use echofix_core::geo::{CellIndex, Grid, TileId, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::tile;
@@ -58,21 +58,23 @@ fn move_all(drive: &mut Drive, to: impl Fn(&Pose2, [f64; 2]) -> Pose2) {
 }
 
 /// Evidence that hits the cells at these map metres.
-pub fn hits(zone: Zone, points: impl IntoIterator<Item = [f64; 2]>, each: u32) -> Contribution {
+pub fn hits(zone: Zone, points: impl IntoIterator<Item = [f64; 2]>, each: u32) -> EvidenceDelta {
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for point in points {
         let (id, index) = TileId::locate(zone, CellIndex::of(point));
         let hit = CellHits { index, hits: each, offset_sum: [each * 128; 2] };
         tiles.entry(id).or_default().insert(index, hit);
     }
-    let tiles: BTreeMap<_, _> =
-        tiles.into_iter().map(|(id, cells)| (id, Share::of_hits(cells.into_values().collect()))).collect();
-    let detections = tiles.values().map(Share::detections).sum();
-    Contribution { tiles, detections }
+    let tiles: BTreeMap<_, _> = tiles
+        .into_iter()
+        .map(|(id, cells)| (id, TileEvidence::of_hits(cells.into_values().collect())))
+        .collect();
+    let detections = tiles.values().map(TileEvidence::detections).sum();
+    EvidenceDelta { tiles, detections }
 }
 
 /// Evidence as an upload, whoever made it.
-pub fn upload(id: Uuid, contributor: &str, time_us: i64, contribution: &Contribution) -> Vec<UploadRequest> {
+pub fn upload(id: Uuid, contributor: &str, time_us: i64, contribution: &EvidenceDelta) -> Vec<UploadRequest> {
     let header = UploadHeader {
         upload_id: id.to_string(),
         contributor: contributor.to_owned(),

@@ -1,6 +1,6 @@
 //! A drive goes to the map.
 
-use echofix_client::upload::{Config, Form, Upload};
+use echofix_client::upload::{PreparedUpload, RecorderConfig, UploadForm};
 use echofix_core::drive::Drive;
 use echofix_harness::recording::{record, to_the_ends};
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
@@ -12,17 +12,17 @@ use crate::grpc;
 use crate::service::Service;
 
 /// A drive as the uploads the vehicle's recorder makes of it.
-pub fn uploads(drive: &Drive) -> Vec<Upload> {
+pub fn uploads(drive: &Drive) -> Vec<PreparedUpload> {
     uploads_as(drive, to_the_ends())
 }
 
 /// The same as scans.
-pub fn scan_uploads(drive: &Drive) -> Vec<Upload> {
-    uploads_as(drive, Config { form: Form::Scans, ..to_the_ends() })
+pub fn scan_uploads(drive: &Drive) -> Vec<PreparedUpload> {
+    uploads_as(drive, RecorderConfig { form: UploadForm::Scans, ..to_the_ends() })
 }
 
 /// The same, recorded in some other way.
-pub fn uploads_as(drive: &Drive, config: Config) -> Vec<Upload> {
+pub fn uploads_as(drive: &Drive, config: RecorderConfig) -> Vec<PreparedUpload> {
     let recorded = record(drive, config).unwrap_or_else(|error| panic!("{error:#}"));
     assert!(!recorded.uploads.is_empty(), "the drive of `{}` makes no upload", drive.vehicle);
     recorded.uploads

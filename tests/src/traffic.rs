@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use echofix_client::upload::{Config, Upload};
+use echofix_client::upload::{PreparedUpload, RecorderConfig};
 use echofix_harness::recording::to_the_ends;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::upload_request::Part;
@@ -31,8 +31,9 @@ impl Uploads {
     /// Parts of a drive through the town.
     pub fn new(seed: u64) -> Self {
         let drive = town::wander(&town::town(seed), 0, "mapper", seed, 300.0);
-        let short = Config { cut_after_s: 0.5, cut_after_m: 5.0, ..to_the_ends() };
-        let templates = mapping::uploads_as(&drive, short).into_iter().map(Upload::into_parts).collect();
+        let short = RecorderConfig { cut_after_s: 0.5, cut_after_m: 5.0, ..to_the_ends() };
+        let templates =
+            mapping::uploads_as(&drive, short).into_iter().map(PreparedUpload::into_parts).collect();
         Self { seed, templates, next: AtomicU32::new(0) }
     }
 

@@ -12,7 +12,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use echofix_core::evidence::{CellHits, Contribution, Share};
+use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::UploadRequest;
 use echofix_tests::mapping::{folded, send};
@@ -65,21 +65,21 @@ fn parts(seed: u64, number: u32) -> Vec<UploadRequest> {
     indices.dedup();
     let mut hit =
         |index| CellHits { index, hits: 2, offset_sum: [0; 2].map(|_: u32| rng.random_range(0..512)) };
-    let share = Share::of_hits(indices.into_iter().map(&mut hit).collect());
+    let share = TileEvidence::of_hits(indices.into_iter().map(&mut hit).collect());
     upload(seed, number, x, i64::from(number / CONTRIBUTORS) % 60, share)
 }
 
 /// What the map knows already: the same cells of a tile, told by the same contributor on the same day.
 fn known_parts(seed: u64, number: u32) -> Vec<UploadRequest> {
     let hit = |index: u32| CellHits { index: index * 300, hits: 1, offset_sum: [128; 2] };
-    upload(seed, number, number % 5, 0, Share::of_hits((0..20).map(hit).collect()))
+    upload(seed, number, number % 5, 0, TileEvidence::of_hits((0..20).map(hit).collect()))
 }
 
-fn upload(seed: u64, number: u32, x: u32, day: i64, share: Share) -> Vec<UploadRequest> {
+fn upload(seed: u64, number: u32, x: u32, day: i64, share: TileEvidence) -> Vec<UploadRequest> {
     let tile =
         TileId { zone: Zone::from_epsg(32614).expect("a zone of UTM"), y: 65_000, x: 12_000 + x as i32 };
     let detections = share.detections();
-    let contribution = Contribution { tiles: [(tile, share)].into(), detections };
+    let contribution = EvidenceDelta { tiles: [(tile, share)].into(), detections };
     let contributor = format!("car-{}", number % CONTRIBUTORS);
     let id = Uuid::from_u64_pair(seed, number.into());
     crowd::upload(id, &contributor, FIRST_US + day * DAY_US, &contribution)

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use echofix_client::upload::Upload;
+use echofix_client::upload::PreparedUpload;
 use echofix_core::drive::Drive;
 use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
@@ -198,7 +198,7 @@ async fn who_is_revoked_has_never_been_there() {
 
 /// Support blocks in which each of some drives has hits.
 fn supported(drive: &Drive) -> BTreeSet<(TileId, usize)> {
-    let of_upload = |upload: Upload| {
+    let of_upload = |upload: PreparedUpload| {
         let tiles = upload.evidence().expect("the recorder makes evidence").tiles.into_iter();
         let blocks =
             tiles.flat_map(|(id, share)| share.cells.into_iter().map(move |c| (id, support_block(c.index))));

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use echofix_core::evidence::{CellHits, Contribution, Share, VIEW_BLOCKS};
+use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence, VIEW_BLOCKS};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
@@ -43,9 +43,9 @@ fn parts(seed: u64, number: u32, hits: u32) -> Vec<UploadRequest> {
     let (tile, block) = home(number);
     let first = block / BLOCKS * SIDE * BLOCKS * SIDE + block % BLOCKS * SIDE;
     let hit = |row| CellHits { index: first + row * BLOCKS * SIDE, hits, offset_sum: [hits * 9; 2] };
-    let share = Share::of_hits((0..10).map(hit).collect());
+    let share = TileEvidence::of_hits((0..10).map(hit).collect());
     let detections = share.detections();
-    let contribution = Contribution { tiles: [(tile, share)].into(), detections };
+    let contribution = EvidenceDelta { tiles: [(tile, share)].into(), detections };
     let (contributor, day) = (format!("car-{}", number % 7), i64::from(number % 3));
     let id = Uuid::from_u64_pair(seed, u64::from(number));
     crowd::upload(id, &contributor, FIRST_US + day * 86_400_000_000, &contribution)

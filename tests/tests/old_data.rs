@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use echofix_client::service;
-use echofix_client::tiles::{Limits, Synced, TileCache, Want};
+use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_core::tile;
 use echofix_tests::service::{Service, Setup};
 use echofix_tests::tiles::{self, EVERYWHERE};
@@ -49,14 +49,14 @@ async fn the_data_of_version_0_1_keeps_its_lineage_its_versions_and_its_bytes() 
     for start in 1..=2 {
         let map = tiles::all(&service).await;
         assert!(data.join("tiles-1").exists(), "start {start} folded the map anew");
-        let cache = TileCache::open(&cached, Limits::default()).expect("an old cache can be opened");
+        let cache = TileCache::open(&cached, TileCacheLimits::default()).expect("an old cache can be opened");
         let versions: Vec<_> = map.iter().map(|(id, (version, _))| (*id, *version)).collect();
         assert_eq!(cache.versions(), versions, "start {start}: another lineage");
         for (id, (version, encoded)) in &map {
             let served = tile::decode(encoded).expect("a served tile is sound");
             assert_eq!(cache.tile(*id).expect("the cache is sound"), Some((*version, served)), "tile {id}");
         }
-        let endpoint = service::Service::at(&service.grpc).endpoint().expect("the address is one");
+        let endpoint = service::ServiceAddress::at(&service.grpc).endpoint().expect("the address is one");
         let synced = cache.sync(&endpoint, &Want::Area(EVERYWHERE)).await.expect("the map can be read");
         let Synced { fetched, unchanged, .. } = synced;
         assert_eq!((fetched, unchanged as usize), (0, map.len()), "start {start}: {synced:?}");

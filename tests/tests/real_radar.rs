@@ -17,11 +17,11 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Lattice, Prior, Search};
 use echofix_core::batch::Batch;
 use echofix_core::drive::Drive;
-use echofix_core::evidence::{Gathering, Pass, Share};
+use echofix_core::evidence::{EvidenceAccumulator, Pass, TileEvidence};
+use echofix_core::gate::Gate;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
-use echofix_core::scan::Gate;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::window::Frame;
 use echofix_sim::rng::normal;
@@ -144,12 +144,12 @@ impl Fragment {
         });
         let truth = Trajectory::new(on_grid).expect("the poses are in order");
         let (scans, gate) = (&drive.scans[..MAPPED], Gate::default());
-        let mut gathering = Gathering::default();
+        let mut gathering = EvidenceAccumulator::default();
         let (detections, _) = gathering
             .add(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
             .expect("the radar is mounted");
         let seen = gathering.finish(detections);
-        let fold = |share: &Share| {
+        let fold = |share: &TileEvidence| {
             let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
             tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, share);
             tile

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use echofix_client::refusal::{CallError, Refusal};
+use echofix_client::refusal::{CallError, RefusalReason};
 use echofix_core::pose::wrap_angle;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::upload_request::Part;
@@ -81,7 +81,7 @@ async fn what_cannot_be_answered_is_refused_with_its_reason() {
         let status = refusal(&mut client, request).await;
         assert_eq!(grpc::reason(&status), reason, "row {row}: {status:?}");
         let CallError::Refused { reason: typed, .. } = CallError::from(&status) else { panic!("{status:?}") };
-        assert_ne!(typed, Refusal::Other(reason.to_owned()), "the vehicle library knows every reason");
+        assert_ne!(typed, RefusalReason::Other(reason.to_owned()), "the vehicle library knows every reason");
         still_answers(&mut client, &sound).await;
     }
 }

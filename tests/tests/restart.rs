@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use echofix_client::upload::Upload;
+use echofix_client::upload::PreparedUpload;
 use echofix_proto::v1::map_service_client::MapServiceClient;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::upload_request::Part;
@@ -13,7 +13,7 @@ use echofix_tests::{grpc, http, mapping, tiles, town, until};
 use std::time::Duration;
 
 /// A drive through a part of the town, cut into uploads.
-fn some_uploads() -> Vec<Upload> {
+fn some_uploads() -> Vec<PreparedUpload> {
     let seed = town::seed();
     let city = town::town(seed);
     let uploads = mapping::uploads(&town::wander(&city, 0, "mapper", seed, 400.0));
@@ -21,7 +21,7 @@ fn some_uploads() -> Vec<Upload> {
     uploads
 }
 
-async fn send(service: &Service, upload: &Upload) -> UploadResponse {
+async fn send(service: &Service, upload: &PreparedUpload) -> UploadResponse {
     let mut client = grpc::mapping(service).await;
     mapping::send(&mut client, upload.parts()).await.expect("the upload is acknowledged")
 }
@@ -32,7 +32,7 @@ async fn map(service: &Service) -> (u64, Tiles) {
 }
 
 /// The map of these uploads on a service that never crashes.
-async fn undisturbed(uploads: &[Upload]) -> (u64, Tiles) {
+async fn undisturbed(uploads: &[PreparedUpload]) -> (u64, Tiles) {
     let service = Service::start();
     for upload in uploads {
         send(&service, upload).await;

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use echofix_client::service;
-use echofix_client::tiles::{Limits, Synced, TileCache, Want};
+use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_core::evidence::Cell;
 use echofix_core::geo::{LatLon, TileId, Zone};
 use echofix_core::tile::{self, Tile};
@@ -21,11 +21,11 @@ use tonic::transport::Endpoint;
 use uuid::Uuid;
 
 fn open(dir: &Path) -> TileCache {
-    TileCache::open(dir, Limits::default()).expect("the cache can be opened")
+    TileCache::open(dir, TileCacheLimits::default()).expect("the cache can be opened")
 }
 
 fn endpoint(url: &str) -> Endpoint {
-    service::Service::at(url).endpoint().expect("the address is one")
+    service::ServiceAddress::at(url).endpoint().expect("the address is one")
 }
 
 async fn sync(cache: &TileCache, tap: &Wiretap) -> Synced {
@@ -222,7 +222,8 @@ async fn a_tile_of_megabytes_comes_in_pieces() {
     assert_eq!((done.fetched, done.bytes), (2, sizes.iter().sum::<usize>() as u64));
     assert_is(&cache, &map);
 
-    let small = TileCache::open(service.scratch().join("small"), Limits { max_bytes: done.bytes - 1 });
+    let small =
+        TileCache::open(service.scratch().join("small"), TileCacheLimits { max_bytes: done.bytes - 1 });
     let small = small.expect("the cache can be opened");
     let error = small.sync(&endpoint(&service.grpc), &Want::Area(EVERYWHERE)).await.expect_err("too much");
     assert!(error.to_string().contains("raise the limit"), "{error}");

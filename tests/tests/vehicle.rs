@@ -2,8 +2,8 @@
 //! prior of the next question.
 
 use echofix_client::Localizer;
-use echofix_client::drivelog::{Event, replay};
-use echofix_client::vehicle::{Config, Fix, Vehicle};
+use echofix_client::drivelog::{DriveEvent, replay};
+use echofix_client::vehicle::{Fix, Vehicle, VehicleConfig};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_harness::prior::PriorSigma;
 use echofix_harness::truth::PoseError;
@@ -33,21 +33,21 @@ struct Trip {
 /// Drives, asking once a second. GNSS gives a pose at the start only, or every second.
 async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bool) -> Trip {
     let (truth, mut rng) = (asking::truth(drive), ChaCha8Rng::seed_from_u64(seed));
-    let mut vehicle = Vehicle::new(Config::default(), drive.mounts.clone());
+    let mut vehicle = Vehicle::new(VehicleConfig::default(), drive.mounts.clone());
     let mut trip = Trip::default();
     let begin_us = drive.scans[0].time_us;
     let (mut next_fix_us, mut next_look_us) = (begin_us + 5_000_000, begin_us);
     for event in replay(drive) {
         let now_us = match event {
-            Event::Odometry(now_us, pose) => {
+            DriveEvent::Odometry(now_us, pose) => {
                 vehicle.push_odometry(now_us, pose).expect("odometry is in order");
                 now_us
             }
-            Event::Scan(scan) => {
+            DriveEvent::Scan(scan) => {
                 vehicle.push_scan(scan.clone()).expect("a simulated scan is sound");
                 continue;
             }
-            Event::Reference(_) | Event::Truth(_) => continue,
+            DriveEvent::Reference(_) | DriveEvent::Truth(_) => continue,
         };
         let Some(true_now) = truth.at(now_us) else { continue };
         if vehicle.position().is_none() {

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use echofix_client::drivelog;
-use echofix_client::upload::{Config as RecorderConfig, Form};
-use echofix_core::scan::Gate;
+use echofix_client::upload::{RecorderConfig, UploadForm};
+use echofix_core::gate::Gate;
 use echofix_harness::progress;
 use echofix_harness::uploading::{UploadedDrive, upload};
 
@@ -66,7 +66,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
     let config = RecorderConfig {
         gate,
-        form: if args.raw { Form::Scans } else { Form::Evidence },
+        form: if args.raw { UploadForm::Scans } else { UploadForm::Evidence },
         max_sigma_position_m: args.max_sigma_m,
         max_sigma_yaw_rad: args.max_sigma_yaw_deg.to_radians(),
         trim_ends_m: args.trim_ends_m,

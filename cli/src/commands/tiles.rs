@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use echofix_client::service::Service;
-use echofix_client::tiles::{Limits, Synced, TileCache, Want};
+use echofix_client::service::ServiceAddress;
+use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_proto::v1::GeodeticBox;
 
 /// Arguments of `echofix tiles`.
@@ -40,9 +40,9 @@ enum Operation {
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let Operation::Sync { dir, area, server, max_mb } = args.operation;
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
-    let limits = Limits { max_bytes: max_mb.saturating_mul(1_000_000) };
+    let limits = TileCacheLimits { max_bytes: max_mb.saturating_mul(1_000_000) };
     let cache = TileCache::open(dir, limits)?;
-    let service = Service::at(server).endpoint()?;
+    let service = ServiceAddress::at(server).endpoint()?;
     let done = cache.sync(&service, &Want::Area(area.unwrap_or(everywhere))).await?;
     report(&done, &cache, json);
     Ok(())

@@ -1,6 +1,6 @@
 //! The last fix carried on by odometry, and the filter, against the truth.
 
-use echofix_client::filter::{self, Config, Estimate, Filter, FixMeasurement, Outcome};
+use echofix_client::filter::{self, Filter, FilterConfig, FilterEstimate, FixMeasurement, FixOutcome};
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Grid, LatLon};
 use echofix_core::pose::{Pose2, wrap_angle};
@@ -30,7 +30,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    pub fn new(config: Config) -> Self {
+    pub fn new(config: FilterConfig) -> Self {
         let (filter, samples) = (Filter::new(config), Vec::new());
         Self { filter, newest: None, samples, used: 0, gated: 0, resets: 0 }
     }
@@ -45,9 +45,9 @@ impl Comparison {
             self.newest = Some((*fix, odometry));
         }
         match self.filter.push_fix(fix)? {
-            Outcome::Used { .. } => self.used += 1,
-            Outcome::Gated { .. } => self.gated += 1,
-            Outcome::Reset { .. } => self.resets += 1,
+            FixOutcome::Used { .. } => self.used += 1,
+            FixOutcome::Gated { .. } => self.gated += 1,
+            FixOutcome::Reset { .. } => self.resets += 1,
             _ => {}
         }
         Ok(())
@@ -71,7 +71,7 @@ impl Comparison {
 
     /// What several drives showed.
     pub fn pooled(drives: Vec<Self>) -> Self {
-        let mut all = Self::new(Config::default());
+        let mut all = Self::new(FilterConfig::default());
         for drive in drives {
             all.samples.extend(drive.samples);
             (all.used, all.gated, all.resets) =
@@ -80,12 +80,12 @@ impl Comparison {
         all
     }
 
-    /// The value below which a share of the samples lies; NaN without any.
-    pub fn percentile(&self, share: f64, of: impl Fn(&Sample) -> f64) -> f64 {
+    /// The value below which a fraction of the samples lies; NaN without any.
+    pub fn percentile(&self, fraction: f64, of: impl Fn(&Sample) -> f64) -> f64 {
         let mut values: Vec<f64> = self.samples.iter().map(of).collect();
         values.sort_by(f64::total_cmp);
         let last = values.len().saturating_sub(1) as f64;
-        values.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)
+        values.get((fraction * last).round() as usize).copied().unwrap_or(f64::NAN)
     }
 
     pub fn mean_nees(&self) -> f64 {
@@ -95,7 +95,7 @@ impl Comparison {
     /// For people.
     pub fn table(&self) -> String {
         let row = |name: &str, of: &dyn Fn(&Sample) -> f64| {
-            let [p50, p95, p99] = [0.5, 0.95, 0.99].map(|share| self.percentile(share, of));
+            let [p50, p95, p99] = [0.5, 0.95, 0.99].map(|fraction| self.percentile(fraction, of));
             format!("{name:<36}{p50:>8.2}{p95:>8.2}{p99:>8.2}\n")
         };
         [
@@ -127,7 +127,7 @@ fn error(at: LatLon, yaw_rad: f64, truth: &GeoPose) -> Result<Vector3<f64>, geo:
     Ok(Vector3::new(off.x_m / scale, off.y_m / scale, wrap_angle(yaw_rad - truth.yaw_rad)))
 }
 
-fn nees(error: &Vector3<f64>, estimate: &Estimate) -> f64 {
+fn nees(error: &Vector3<f64>, estimate: &FilterEstimate) -> f64 {
     let [xx, xy, xt, yy, yt, tt] = estimate.covariance;
     let covariance = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
     covariance.try_inverse().map_or(f64::INFINITY, |inverse| error.dot(&(inverse * error)))

@@ -3,7 +3,7 @@
 
 use std::error::Error;
 
-use echofix_client::filter::{Config, FixMeasurement, PriorSource};
+use echofix_client::filter::{FilterConfig, FixMeasurement, PriorSource};
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Grid, LatLon};
 use echofix_core::odometry::Trajectory;
@@ -22,7 +22,7 @@ const TICK_S: f64 = 0.05;
 const TICKS_PER_S: usize = 20;
 const MINUTES: usize = 10;
 
-/// Share of odometry's scale error, one sigma of a drive.
+/// Fraction of odometry's scale error, one sigma of a drive.
 const SCALE: f64 = 0.005;
 const YAW_DRIFT_RADPS: f64 = 0.02 * DEGREE;
 /// Random walks: metres a square root of a metre, radians a square root of a second.
@@ -46,7 +46,7 @@ pub struct Arrival {
 }
 
 /// One drive.
-pub struct Drive {
+pub struct SimulatedDrive {
     /// One pose a tick.
     pub truth: Vec<GeoPose>,
     /// Of the same times.
@@ -55,21 +55,21 @@ pub struct Drive {
     pub fixes: Vec<Arrival>,
 }
 
-/// The drive of a seed, with fixes that measure this far back into their batch, as a share of it
+/// The drive of a seed, with fixes that measure this far back into their batch, as a fraction of it
 /// (`FixNoise::middle`).
-pub fn drive(seed: u64, middle: f64) -> Result<Drive, Box<dyn Error>> {
+pub fn drive(seed: u64, middle: f64) -> Result<SimulatedDrive, Box<dyn Error>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let truth = integrated(&motion(&mut rng));
     let odometry = odometry(&truth, &mut rng);
     let fixes = fixes(&truth, &odometry, middle, &mut rng)?;
     let town = Town::new()?;
     let truth = truth.iter().map(|at| town.geodetic(at)).collect::<Result<_, _>>()?;
-    Ok(Drive { truth, odometry: Trajectory::new(odometry)?, fixes })
+    Ok(SimulatedDrive { truth, odometry: Trajectory::new(odometry)?, fixes })
 }
 
-impl Drive {
+impl SimulatedDrive {
     /// Drives it, judged five times a second from the filter's first estimate on.
-    pub fn compare(&self, config: Config) -> Result<Comparison, Box<dyn Error>> {
+    pub fn compare(&self, config: FilterConfig) -> Result<Comparison, Box<dyn Error>> {
         let mut comparison = Comparison::new(config);
         let mut fixes = self.fixes.iter().peekable();
         for (tick, ((time_us, odometry), truth)) in self.odometry.iter().zip(&self.truth).enumerate() {
@@ -186,8 +186,8 @@ impl FixErrors {
 
     /// A second and some metres later.
     fn after(&mut self, way_m: f64, rng: &mut ChaCha8Rng) {
-        let kept = (-way_m / MAP_WAY_M).exp();
-        self.map = self.map.map(|error_m| kept * error_m + normal(rng, MAP_M * (1.0 - kept * kept).sqrt()));
+        let left = (-way_m / MAP_WAY_M).exp();
+        self.map = self.map.map(|error_m| left * error_m + normal(rng, MAP_M * (1.0 - left * left).sqrt()));
         self.seconds.rotate_left(1);
         self.seconds[BATCH_S - 1] = Self::second(rng);
     }

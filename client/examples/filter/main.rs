@@ -12,12 +12,12 @@ use std::error::Error;
 use std::io::Write;
 
 use compare::Comparison;
-use echofix_client::filter::Config;
+use echofix_client::filter::FilterConfig;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut seeds = std::env::args().skip(1).map(|seed| seed.parse::<u64>());
     let (first, last) = (seeds.next().unwrap_or(Ok(1))?, seeds.next().unwrap_or(Ok(8))?);
-    let config = Config::default();
+    let config = FilterConfig::default();
     let drives: Result<Vec<_>, _> =
         (first..=last).map(|seed| drive::drive(seed, config.fixes.middle)?.compare(config)).collect();
     let all = Comparison::pooled(drives?);

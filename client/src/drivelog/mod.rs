@@ -1,185 +1,27 @@
 //! Drives on disk: one MCAP file, or a folder of CSV files. Both hold all of a
-//! [`Drive`] and give back exactly what was written.
+//! [`Drive`](echofix_core::drive::Drive) and give back exactly what was written.
 //!
-//! - `*.mcap`: protobuf messages in zstd chunks with their schemas embedded, as Foxglove and the
-//!   MCAP tools open them; see [`topic`].
-//! - anything else: a folder of CSV files for spreadsheets and scripts, each of which may be
-//!   gzipped (`scans.csv.gz`); the columns are those of [`tables`].
+//! - `*.mcap` (feature `mcap`): protobuf messages in zstd chunks with their schemas embedded, as Foxglove and the
+//!   MCAP tools open them; see `topic`.
+//! - anything else (feature `csv`): a folder of CSV files for spreadsheets and scripts, each of which may be
+//!   gzipped (`scans.csv.gz`); the columns are those of `tables`.
 //!
-//! [`read`] detects which it is, [`write()`] goes by the ending of the path.
+//! `read` detects which it is, `write` goes by the ending of the path. [`replay`](replay()) needs neither feature.
 
+#[cfg(any(feature = "mcap", feature = "csv"))]
+mod file;
+#[cfg(feature = "mcap")]
 mod mcap;
+#[cfg(any(feature = "mcap", feature = "csv"))]
+mod problem;
 mod replay;
+#[cfg(feature = "csv")]
 pub mod tables;
 
+#[cfg(feature = "mcap")]
 pub use self::mcap::topic;
-pub use replay::{Event, replay};
-
-use std::io;
-use std::path::{Path, PathBuf};
-
-use echofix_core::drive::Drive;
-
-/// Why a drive log cannot be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// The file system refuses.
-    #[error("{}: {source}", .path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// What it says.
-        source: io::Error,
-    },
-    /// Neither a `*.mcap` file nor a folder with a drive.
-    #[error("{} is not a drive log; expected a .mcap file or a folder with sensors.csv, scans.csv and odometry.csv", .path.display())]
-    NotADriveLog {
-        /// The path given.
-        path: PathBuf,
-    },
-    /// A table is there twice, or twice and compressed.
-    #[error("{} and its .gz twin both exist; remove one", .path.display())]
-    Twice {
-        /// The uncompressed file.
-        path: PathBuf,
-    },
-    /// A row of a table cannot be used.
-    #[error("{} line {line}: {problem}", .path.display())]
-    Row {
-        /// The file.
-        path: PathBuf,
-        /// Line of the (decompressed) file, from 1.
-        line: u64,
-        /// What is wrong and what was expected.
-        problem: String,
-    },
-    /// An MCAP file is damaged.
-    #[error("{}: the MCAP file is damaged ({source}); `mcap recover` may save what is before the damage", .path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What the reader says.
-        source: ::mcap::McapError,
-    },
-    /// A message of an MCAP file cannot be used.
-    #[error("{}: message {number} of {topic}: {problem}", .path.display())]
-    Message {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// Number of the message within its topic, from 1.
-        number: u64,
-        /// What is wrong and what was expected.
-        problem: String,
-    },
-    /// An MCAP file that is not a drive.
-    #[error("{}: {problem}", .path.display())]
-    NotADrive {
-        /// The file.
-        path: PathBuf,
-        /// What is missing or wrong.
-        problem: String,
-    },
-    /// A drive that the format cannot hold.
-    #[error("the drive cannot be written: {0}")]
-    Unwritable(String),
-}
-
-/// Reads a drive.
-///
-/// # Errors
-/// When there is none, or naming the row or message that cannot be used.
-pub fn read(path: impl AsRef<Path>) -> Result<Drive, Error> {
-    let path = path.as_ref();
-    let metadata = std::fs::metadata(path).map_err(|source| io_error(path, source))?;
-    if metadata.is_dir() { tables::read(path) } else { mcap::read(path) }
-}
-
-/// Writes a drive: one MCAP file when the path ends in `.mcap`, otherwise a folder of CSV files.
-///
-/// What was at the path is replaced: an MCAP file as a whole once the new one is complete, in a
-/// folder the files of the drive log only.
-///
-/// # Errors
-/// When the file system refuses or the drive holds what the format cannot.
-pub fn write(path: impl AsRef<Path>, drive: &Drive) -> Result<(), Error> {
-    let path = path.as_ref();
-    check(drive)?;
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap")) {
-        mcap::write(path, drive)
-    } else {
-        tables::write(path, drive)
-    }
-}
-
-/// What is not checked here would not be read back.
-fn check(drive: &Drive) -> Result<(), Error> {
-    for scan in &drive.scans {
-        let refuse = |problem: String| Error::Unwritable(format!("scan at {} us: {problem}", scan.time_us));
-        scan.validate().map_err(|e| refuse(e.to_string()))?;
-        if scan.sensor >= drive.mounts.len() {
-            let problem = format!("it names sensor {} of {}", scan.sensor, drive.mounts.len());
-            return Err(refuse(problem));
-        }
-    }
-    let poses = drive.reference.iter().chain(&drive.truth);
-    match poses.into_iter().find(|pose| !is_finite(pose)) {
-        Some(pose) => Err(Error::Unwritable(format!("the pose at {} us is not finite", pose.time_us))),
-        None => Ok(()),
-    }
-}
-
-fn is_finite(pose: &echofix_core::drive::GeoPose) -> bool {
-    [pose.at.lat_deg, pose.at.lon_deg, pose.yaw_rad, pose.sigma_position_m, pose.sigma_yaw_rad]
-        .iter()
-        .all(|v| v.is_finite())
-}
-
-fn io_error(path: &Path, source: io::Error) -> Error {
-    Error::Io { path: path.to_owned(), source }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::any_drive;
-    use proptest::prelude::*;
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(64))]
-
-        #[test]
-        fn both_formats_give_back_exactly_what_was_written(drive in any_drive()) {
-            let dir = tempfile::tempdir().unwrap();
-            for name in ["drive.mcap", "folder"] {
-                let path = dir.path().join(name);
-                write(&path, &drive).unwrap();
-                prop_assert_eq!(&read(&path).unwrap(), &drive, "{}", name);
-                // Once more over what is there.
-                write(&path, &drive).unwrap();
-                prop_assert_eq!(&read(&path).unwrap(), &drive, "{}", name);
-            }
-        }
-    }
-
-    #[test]
-    fn what_is_no_drive_log_is_told() {
-        let dir = tempfile::tempdir().unwrap();
-        assert!(matches!(read(dir.path()), Err(Error::NotADriveLog { .. })));
-        assert!(matches!(read(dir.path().join("nothing")), Err(Error::Io { .. })));
-        let text = dir.path().join("notes.txt");
-        std::fs::write(&text, "hello").unwrap();
-        assert!(read(&text).is_err());
-    }
-
-    #[test]
-    fn what_could_not_be_read_back_is_not_written() {
-        let dir = tempfile::tempdir().unwrap();
-        let scans = vec![echofix_core::scan::Scan::default()];
-        let drive = Drive { scans, ..Drive::default() };
-        let error = write(dir.path().join("d.mcap"), &drive).unwrap_err();
-        assert!(error.to_string().contains("names sensor 0 of 0"), "{error}");
-    }
-}
+#[cfg(any(feature = "mcap", feature = "csv"))]
+pub use file::{Error, read, write};
+#[cfg(any(feature = "mcap", feature = "csv"))]
+pub use problem::Problem;
+pub use replay::{DriveEvent, replay};

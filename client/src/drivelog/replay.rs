@@ -8,7 +8,7 @@ use echofix_core::scan::Scan;
 
 /// One measurement of a drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Event<'a> {
+pub enum DriveEvent<'a> {
     /// An odometry pose and its time, microseconds since the Unix epoch.
     Odometry(i64, Pose2),
     /// What the vehicle's positioning believed.
@@ -19,7 +19,7 @@ pub enum Event<'a> {
     Scan(&'a Scan),
 }
 
-impl Event<'_> {
+impl DriveEvent<'_> {
     /// Microseconds since the Unix epoch.
     #[must_use]
     pub fn time_us(&self) -> i64 {
@@ -32,15 +32,15 @@ impl Event<'_> {
 }
 
 /// Everything a drive holds in order of time; at the same time poses come before scans. Each stream
-/// keeps its own order.
-pub fn replay(drive: &Drive) -> impl Iterator<Item = Event<'_>> {
-    let mut odometry = drive.odometry.iter().map(|(t, pose)| Event::Odometry(t, pose)).peekable();
-    let mut reference = drive.reference.iter().map(Event::Reference).peekable();
-    let mut truth = drive.truth.iter().map(Event::Truth).peekable();
-    let mut scans = drive.scans.iter().map(Event::Scan).peekable();
+/// stays in its own order.
+pub fn replay(drive: &Drive) -> impl Iterator<Item = DriveEvent<'_>> {
+    let mut odometry = drive.odometry.iter().map(|(t, pose)| DriveEvent::Odometry(t, pose)).peekable();
+    let mut reference = drive.reference.iter().map(DriveEvent::Reference).peekable();
+    let mut truth = drive.truth.iter().map(DriveEvent::Truth).peekable();
+    let mut scans = drive.scans.iter().map(DriveEvent::Scan).peekable();
     iter::from_fn(move || {
         let heads = [odometry.peek(), reference.peek(), truth.peek(), scans.peek()];
-        let times = heads.map(|head| head.map(Event::time_us));
+        let times = heads.map(|head| head.map(DriveEvent::time_us));
         let first = (0..times.len()).filter(|i| times[*i].is_some()).min_by_key(|i| times[*i])?;
         match first {
             0 => odometry.next(),
@@ -63,7 +63,7 @@ mod tests {
             let events: Vec<_> = replay(&drive).collect();
             let all = drive.scans.len() + drive.odometry.len() + drive.reference.len() + drive.truth.len();
             prop_assert_eq!(events.len(), all);
-            prop_assert!(events.is_sorted_by_key(Event::time_us));
+            prop_assert!(events.is_sorted_by_key(DriveEvent::time_us));
         }
     }
 }

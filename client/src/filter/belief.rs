@@ -3,10 +3,10 @@
 use echofix_core::pose::{Pose2, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::config::Config;
+use super::config::FilterConfig;
 use super::local_fix::LocalFix;
 use super::measurement::{MAX_SIGMA_M, MAX_SIGMA_RAD};
-use super::step::Step;
+use super::step::OdometryStep;
 
 type Vector = SVector<f64, 11>;
 type Covariance = SMatrix<f64, 11, 11>;
@@ -38,8 +38,8 @@ pub(super) struct Innovation {
 }
 
 impl Belief {
-    /// What a first fix alone tells.
-    pub(super) fn from_fix(fix: &LocalFix, config: &Config) -> Self {
+    /// The belief of a first fix alone.
+    pub(super) fn from_fix(fix: &LocalFix, config: &FilterConfig) -> Self {
         let (odometry, fixes) = (config.odometry, config.fixes);
         let sigma = [
             // Nothing is known yet. Larger would only cost digits.
@@ -65,29 +65,29 @@ impl Belief {
     }
 
     /// The belief after a way; `None` once it is too vague to be one.
-    pub(super) fn carried(&self, step: &Step, config: &Config) -> Option<Self> {
+    pub(super) fn carried(&self, step: &OdometryStep, config: &FilterConfig) -> Option<Self> {
         let (moved, turning_s) = (step.moved, step.turning_s());
         let (sin, cos) = self.mean[YAW].sin_cos();
         let (ahead_x, ahead_y) = (cos * moved.x_m - sin * moved.y_m, sin * moved.x_m + cos * moved.y_m);
-        let true_share = 1.0 - self.mean[SCALE];
+        let true_fraction = 1.0 - self.mean[SCALE];
 
         let mut mean = self.mean;
-        mean[0] += true_share * ahead_x;
-        mean[1] += true_share * ahead_y;
+        mean[0] += true_fraction * ahead_x;
+        mean[1] += true_fraction * ahead_y;
         mean[YAW] = wrap_angle(mean[YAW] + moved.yaw_rad - turning_s * mean[YAW_RATE]);
         let mut transition = Covariance::identity();
-        transition[(0, YAW)] = -true_share * ahead_y;
-        transition[(1, YAW)] = true_share * ahead_x;
+        transition[(0, YAW)] = -true_fraction * ahead_y;
+        transition[(1, YAW)] = true_fraction * ahead_x;
         transition[(0, SCALE)] = -ahead_x;
         transition[(1, SCALE)] = -ahead_y;
         transition[(YAW, YAW_RATE)] = -turning_s;
 
         let mut noise = Vector::zeros();
         noise.fixed_rows_mut::<3>(0).copy_from_slice(&step.walk(config));
-        for (state, (sigma, kept)) in (SCALE..).zip(step.memory(config)) {
-            mean[state] *= kept;
-            transition[(state, state)] = kept;
-            noise[state] = sigma * sigma * (1.0 - kept * kept);
+        for (state, (sigma, left)) in (SCALE..).zip(step.memory(config)) {
+            mean[state] *= left;
+            transition[(state, state)] = left;
+            noise[state] = sigma * sigma * (1.0 - left * left);
         }
         let covariance =
             transition * self.covariance * transition.transpose() + Covariance::from_diagonal(&noise);
@@ -148,7 +148,7 @@ impl Belief {
         self.covariance.fixed_view::<3, 3>(0, 0).into_owned()
     }
 
-    /// Share by which odometry's distances are too long, and its sigma.
+    /// Fraction by which odometry's distances are too long, and its sigma.
     pub(super) fn scale(&self) -> (f64, f64) {
         (self.mean[SCALE], self.covariance[(SCALE, SCALE)].sqrt())
     }

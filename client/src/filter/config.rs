@@ -2,7 +2,7 @@
 
 /// How a [`Filter`](super::Filter) models, gates and remembers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
+pub struct FilterConfig {
     /// How odometry errs.
     pub odometry: OdometryNoise,
     /// How fixes err together.
@@ -13,16 +13,16 @@ pub struct Config {
     /// When fixes that agree with each other overrule the filter, or start it.
     pub recovery: Recovery,
     /// How far back a fix is taken into account, seconds: how late it may come, and the half batch
-    /// before its time. Costs about 1 kB for each odometry pose kept.
+    /// before its time. Costs about 1 kB for each odometry pose.
     pub history_s: f64,
-    /// Odometry poses closer together than this are not kept one by one, seconds: it bounds memory
+    /// Odometry poses closer together than this are not stored one by one, seconds: it bounds memory
     /// and work, whatever the odometry's rate.
     pub spacing_s: f64,
     /// Odometry that moves faster than this has jumped, metres per second.
     pub max_speed_mps: f64,
 }
 
-impl Default for Config {
+impl Default for FilterConfig {
     fn default() -> Self {
         Self {
             odometry: OdometryNoise::default(),
@@ -42,7 +42,7 @@ impl Default for Config {
 /// fix, and the time constant how fast what was learnt goes stale.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometryNoise {
-    /// Share by which distances are wrong.
+    /// Fraction by which distances are wrong.
     pub scale: f64,
     /// Time over which the scale error changes, seconds.
     pub scale_time_s: f64,
@@ -82,7 +82,7 @@ pub struct FixNoise {
     pub map_way_m: f64,
     /// What a batch spans, seconds: fixes closer together share detections.
     pub batch_s: f64,
-    /// How far back into its batch a fix measures, as a share of `batch_s`; 0 for fixes of a single
+    /// How far back into its batch a fix measures, as a fraction of `batch_s`; 0 for fixes of a single
     /// scan. See [the model](super#a-fix-is-for-the-middle-of-its-batch).
     pub middle: f64,
 }

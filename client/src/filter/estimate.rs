@@ -1,13 +1,13 @@
-//! What the filter tells.
+//! What the filter returns.
 
 use echofix_core::drive::GeoPose;
 
-use super::frame::Frame;
+use super::plane::LocalPlane;
 use super::track::Track;
 
 /// Where the vehicle is, at the time of the newest odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
+pub struct FilterEstimate {
     /// The pose of the body, with the sigmas of `covariance`.
     pub pose: GeoPose,
     /// Covariance of (east m, north m, yaw rad): upper triangle row by row.
@@ -16,15 +16,15 @@ pub struct Estimate {
     pub fix_age_s: f64,
     /// Fixes in a row that contradict this estimate and agree with each other: 0 is healthy.
     pub contradicting: usize,
-    /// Share by which odometry's distances are too long, and its sigma.
+    /// Fraction by which odometry's distances are too long, and its sigma.
     pub odometry_scale: (f64, f64),
     /// What odometry's yaw rate is too large by, and its sigma, radians per second.
     pub odometry_yaw_rate_radps: (f64, f64),
 }
 
-impl Estimate {
+impl FilterEstimate {
     /// What a track believes; `None` while it believes nothing.
-    pub(super) fn of(time_us: i64, track: &Track, frame: &Frame) -> Option<Self> {
+    pub(super) fn of(time_us: i64, track: &Track, frame: &LocalPlane) -> Option<Self> {
         let belief = track.belief()?;
         let (at, yaw_rad) = frame.geodetic(&belief.pose()).ok()?;
         let p = belief.pose_covariance();

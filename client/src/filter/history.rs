@@ -5,10 +5,10 @@ use std::collections::VecDeque;
 use echofix_core::odometry;
 use echofix_core::pose::Pose2;
 
-use super::config::Config;
+use super::config::FilterConfig;
 use super::local_fix::LocalFix;
-use super::measurement::{Error, Outcome};
-use super::step::Step;
+use super::measurement::{Error, FixOutcome};
+use super::step::OdometryStep;
 use super::track::Track;
 
 /// A time at which odometry is known.
@@ -27,7 +27,7 @@ impl Node {
     }
 
     /// What is believed after the fix of this time, and what became of the fix.
-    fn settled(&self, config: &Config) -> (Track, Option<Outcome>) {
+    fn settled(&self, config: &FilterConfig) -> (Track, Option<FixOutcome>) {
         match &self.fix {
             None => (self.track.clone(), None),
             Some(fix) => {
@@ -37,8 +37,8 @@ impl Node {
         }
     }
 
-    fn followed_by(&self, time_us: i64, odometry: Pose2, config: &Config) -> Self {
-        let step = Step::between(self.at(), (time_us, odometry));
+    fn followed_by(&self, time_us: i64, odometry: Pose2, config: &FilterConfig) -> Self {
+        let step = OdometryStep::between(self.at(), (time_us, odometry));
         Self { time_us, odometry, track: self.settled(config).0.carried(&step, config), fix: None }
     }
 }
@@ -63,7 +63,7 @@ impl History {
     ///
     /// # Errors
     /// When it is not one. After a jump the history begins anew.
-    pub(super) fn push(&mut self, time_us: i64, odometry: Pose2, config: &Config) -> Result<(), Error> {
+    pub(super) fn push(&mut self, time_us: i64, odometry: Pose2, config: &FilterConfig) -> Result<(), Error> {
         if !odometry.is_finite() {
             return Err(odometry::Error::NotFinite { time_us }.into());
         }
@@ -95,7 +95,7 @@ impl History {
     ///
     /// # Errors
     /// The outcome of a fix that the history does not cover.
-    pub(super) fn middle(&self, end_us: i64, config: &Config) -> Result<Middle, Outcome> {
+    pub(super) fn middle(&self, end_us: i64, config: &FilterConfig) -> Result<Middle, FixOutcome> {
         let batch_s = config.fixes.batch_s.min(end_us.saturating_sub(self.began_us) as f64 * 1e-6);
         let time_us = end_us.saturating_sub((config.fixes.middle * batch_s.max(0.0) * 1e6) as i64);
         let end = self.odometry_at(end_us)?;
@@ -103,7 +103,7 @@ impl History {
     }
 
     /// Takes a fix into account at the time it measures, and judges those after it again.
-    pub(super) fn insert(&mut self, time_us: i64, fix: LocalFix, config: &Config) -> Outcome {
+    pub(super) fn insert(&mut self, time_us: i64, fix: LocalFix, config: &FilterConfig) -> FixOutcome {
         let odometry = match self.odometry_at(time_us) {
             Ok(odometry) => odometry,
             Err(outcome) => return outcome,
@@ -115,30 +115,30 @@ impl History {
         }
         let node = &mut self.nodes[index];
         if node.fix.is_some() {
-            return Outcome::Duplicate;
+            return FixOutcome::Duplicate;
         }
         node.fix = Some(fix);
-        let outcome = node.settled(config).1.unwrap_or(Outcome::Duplicate);
+        let outcome = node.settled(config).1.unwrap_or(FixOutcome::Duplicate);
         self.replay_after(index, config);
         outcome
     }
 
     /// Odometry at a time the history covers; else the outcome of a fix for that time.
-    fn odometry_at(&self, time_us: i64) -> Result<Pose2, Outcome> {
+    fn odometry_at(&self, time_us: i64) -> Result<Pose2, FixOutcome> {
         let after = self.nodes.partition_point(|node| node.time_us < time_us);
-        let Some(next) = self.nodes.get(after) else { return Err(Outcome::AheadOfOdometry) };
+        let Some(next) = self.nodes.get(after) else { return Err(FixOutcome::AheadOfOdometry) };
         if next.time_us == time_us {
             return Ok(next.odometry);
         }
         let Some(before) = after.checked_sub(1).map(|i| &self.nodes[i]) else {
-            return Err(Outcome::TooOld { oldest_us: next.time_us });
+            return Err(FixOutcome::TooOld { oldest_us: next.time_us });
         };
-        let share = (time_us - before.time_us) as f64 / (next.time_us - before.time_us) as f64;
-        Ok(before.odometry.interpolate(&next.odometry, share))
+        let fraction = (time_us - before.time_us) as f64 / (next.time_us - before.time_us) as f64;
+        Ok(before.odometry.interpolate(&next.odometry, fraction))
     }
 
     /// The newest time, and what is believed then.
-    pub(super) fn newest(&self, config: &Config) -> Option<(i64, Track)> {
+    pub(super) fn newest(&self, config: &FilterConfig) -> Option<(i64, Track)> {
         let node = self.nodes.back()?;
         Some((node.time_us, node.settled(config).0))
     }
@@ -151,7 +151,7 @@ impl History {
         }
     }
 
-    /// Forgets all that fixes told.
+    /// Forgets all fixes and what they led to.
     pub(super) fn forget_fixes(&mut self) {
         for node in &mut self.nodes {
             (node.track, node.fix) = (Track::default(), None);
@@ -163,25 +163,25 @@ impl History {
         self.nodes = VecDeque::from([Node { time_us, odometry, track: Track::default(), fix: None }]);
     }
 
-    fn replay_after(&mut self, index: usize, config: &Config) {
+    fn replay_after(&mut self, index: usize, config: &FilterConfig) {
         for i in index + 1..self.nodes.len() {
             let (time_us, odometry) = self.nodes[i].at();
             self.nodes[i].track = self.nodes[i - 1].followed_by(time_us, odometry, config).track;
         }
     }
 
-    /// Drops the newest pose if it is closer to the one before than odometry needs to be kept.
-    fn thin_out(&mut self, config: &Config) {
+    /// Drops the newest pose if it is closer to the one before than odometry needs to be stored.
+    fn thin_out(&mut self, config: &FilterConfig) {
         let Some(before) = self.nodes.len().checked_sub(2).map(|i| &self.nodes[i]) else { return };
         let dense = |last: &&Node| {
-            last.fix.is_none() && Step::between(before.at(), last.at()).time_s < config.spacing_s
+            last.fix.is_none() && OdometryStep::between(before.at(), last.at()).time_s < config.spacing_s
         };
         if self.nodes.back().as_ref().is_some_and(dense) {
             self.nodes.pop_back();
         }
     }
 
-    fn forget(&mut self, now_us: i64, config: &Config) {
+    fn forget(&mut self, now_us: i64, config: &FilterConfig) {
         let oldest_us = now_us.saturating_sub((config.history_s * 1e6) as i64);
         while self.nodes.get(1).is_some_and(|node| node.time_us <= oldest_us) {
             self.nodes.pop_front();

@@ -54,7 +54,7 @@ impl From<&Fix> for FixMeasurement {
 /// alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub enum Outcome {
+pub enum FixOutcome {
     /// It corrected the estimate.
     Used {
         /// Normalised innovation squared: about 3 on average where the model is right.
@@ -112,7 +112,7 @@ pub enum Error {
         /// The heading given.
         yaw_rad: f64,
     },
-    /// A matrix that is not a covariance, or of a fix that tells next to nothing.
+    /// A matrix that is not a covariance, or of a fix that says next to nothing.
     #[error(
         "{covariance:?} is not the covariance of a fix (east m, north m, yaw rad; upper triangle): it must be \
          positive semidefinite with sigmas of at most {MAX_SIGMA_M} m and {MAX_SIGMA_RAD} rad"
@@ -132,7 +132,7 @@ pub enum Error {
     Jumped {
         /// The time of the pose after the jump.
         time_us: i64,
-        /// How far.
+        /// Metres between the poses before and after.
         distance_m: f64,
     },
 }

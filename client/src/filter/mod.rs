@@ -7,20 +7,20 @@
 //! ```no_run
 //! use echofix_client::filter::{self, Filter};
 //! use echofix_client::vehicle::{self, Vehicle};
-//! use echofix_client::{Localizer, LocalizerOptions, drivelog, drivelog::Event, service::Service};
+//! use echofix_client::{Localizer, LocalizerOptions, drivelog, drivelog::DriveEvent, service::ServiceAddress};
 //! # async fn run(drive: echofix_core::drive::Drive) -> Result<(), Box<dyn std::error::Error>> {
-//! let localizer = Localizer::new(Service::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
-//! let mut vehicle = Vehicle::new(vehicle::Config::default(), drive.mounts.clone());
-//! let mut filter = Filter::new(filter::Config::default());
+//! let localizer = Localizer::new(ServiceAddress::at("http://127.0.0.1:50051").endpoint()?, LocalizerOptions::default());
+//! let mut vehicle = Vehicle::new(vehicle::VehicleConfig::default(), drive.mounts.clone());
+//! let mut filter = Filter::new(filter::FilterConfig::default());
 //! for event in drivelog::replay(&drive) {
 //!     match event {
-//!         Event::Odometry(time_us, pose) => {
+//!         DriveEvent::Odometry(time_us, pose) => {
 //!             vehicle.push_odometry(time_us, pose)?;
 //!             filter.push_odometry(time_us, pose)?;
 //!         }
-//!         Event::Scan(scan) => vehicle.push_scan(scan.clone())?,
-//!         Event::Reference(rough) => vehicle.push_pose(*rough)?,
-//!         Event::Truth(_) => continue,
+//!         DriveEvent::Scan(scan) => vehicle.push_scan(scan.clone())?,
+//!         DriveEvent::Reference(rough) => vehicle.push_pose(*rough)?,
+//!         DriveEvent::Truth(_) => continue,
 //!     }
 //!     // Once a second will do.
 //!     let Ok(question) = vehicle.question() else { continue };
@@ -54,14 +54,14 @@
 //! # The errors of fixes are not white
 //!
 //! A fix is `pose + map + batch + a little of its own`. Its covariance says how large the sum is; the
-//! filter only splits it. What would be averaged away if every fix were taken for news is kept in
+//! filter only splits it. What would be averaged away if every fix were taken for news is held in
 //! states instead (Bryson and Henrikson, "Estimation using sampled data containing sequentially
 //! correlated noise", 1968):
 //!
-//! - *The map's own error* is common to all fixes of a place. It fades over [`FixNoise::map_way_m`]
+//! - *The map's own error* is common to all fixes of a street. It fades over [`FixNoise::map_way_m`]
 //!   metres driven, so standing still for an hour teaches nothing about it.
 //! - *The batch's error* is common to the fixes whose batches overlap. It fades over half a batch, and
-//!   ten fixes a second tell little more than one.
+//!   ten fixes a second are worth little more than one.
 //!
 //! ## A fix is for the middle of its batch
 //!
@@ -73,9 +73,9 @@
 //!
 //! # Late, early, out of order
 //!
-//! The last [`Config::history_s`] are kept: odometry, fixes, and what was believed. A fix goes where
+//! The last [`FilterConfig::history_s`] are stored: odometry, fixes, and what was believed. A fix goes where
 //! it belongs, and all after it is done again; the order of arrival makes no difference. What is older
-//! is [`Outcome::TooOld`], what odometry does not cover yet [`Outcome::AheadOfOdometry`].
+//! is [`FixOutcome::TooOld`], what odometry does not cover yet [`FixOutcome::AheadOfOdometry`].
 //!
 //! # Doubt
 //!
@@ -91,42 +91,42 @@
 //!
 //! - [`OdometryNoise`] is the vehicle's own and worth measuring: drive a straight kilometre, and stand
 //!   for a minute. Too small, and the filter trusts odometry over fixes; the sign is
-//!   [`Estimate::contradicting`].
+//!   [`FilterEstimate::contradicting`].
 //! - [`FixNoise::map_m`] decides how good the filter can claim to be: it is averaged only over ways
 //!   much longer than [`FixNoise::map_way_m`]. When in doubt, make both larger.
 //! - The gate's false alarms cost one fix, so it may be tight; a heavier tail of good fixes shows as
-//!   [`Outcome::Gated`] with a `nis` of some tens.
+//!   [`FixOutcome::Gated`] with a `nis` of some tens.
 //! - `cargo run -p echofix-client --example filter` compares with the last fix carried on by odometry,
 //!   on simulated drives; `--example fuse` does it on a drive log and a running service. A mean NEES
 //!   above 4 or so says that a sigma is too small.
 //!
 //! # Rooms
 //!
-//! From the ground up: `config`, `frame` (the plane), `noise` (whose error is whose), `local_fix`,
+//! From the ground up: `config`, `plane`, `noise` (whose error is whose), `local_fix`,
 //! `step` (odometry), `belief` (the Kalman filter), `track` (gate and recovery), `history` (time),
-//! `estimate` (what is told).
+//! `estimate` (what is returned).
 
 mod belief;
 mod config;
 mod estimate;
-mod frame;
 mod history;
 mod local_fix;
 mod measurement;
 mod noise;
+mod plane;
 mod step;
 mod track;
 
-pub use config::{Config, FixNoise, OdometryNoise, Recovery};
-pub use estimate::Estimate;
-pub use measurement::{Error, FixMeasurement, Outcome, PriorSource};
+pub use config::{FilterConfig, FixNoise, OdometryNoise, Recovery};
+pub use estimate::FilterEstimate;
+pub use measurement::{Error, FixMeasurement, FixOutcome, PriorSource};
 
 use echofix_core::geo::LatLon;
 use echofix_core::pose::Pose2;
 
-use frame::Frame;
 use history::History;
 use local_fix::LocalFix;
+use plane::LocalPlane;
 
 /// How far from its origin the local plane is used, metres.
 const FRAME_REACH_M: f64 = 2_000.0;
@@ -134,16 +134,16 @@ const FRAME_REACH_M: f64 = 2_000.0;
 /// Fuses odometry with fixes; see the [module](self).
 #[derive(Debug, Clone)]
 pub struct Filter {
-    config: Config,
+    config: FilterConfig,
     /// Chosen by the first fix.
-    frame: Option<Frame>,
+    frame: Option<LocalPlane>,
     history: History,
 }
 
 impl Filter {
     /// A filter that knows nothing yet.
     #[must_use]
-    pub fn new(config: Config) -> Self {
+    pub fn new(config: FilterConfig) -> Self {
         Self { config, frame: None, history: History::default() }
     }
 
@@ -161,10 +161,10 @@ impl Filter {
     ///
     /// # Errors
     /// When it is not a fix.
-    pub fn push_fix(&mut self, fix: &FixMeasurement) -> Result<Outcome, Error> {
+    pub fn push_fix(&mut self, fix: &FixMeasurement) -> Result<FixOutcome, Error> {
         let covariance = fix.checked()?;
         if fix.contains_prior && fix.prior == PriorSource::Own {
-            return Ok(Outcome::HoldsOwnPrior);
+            return Ok(FixOutcome::HoldsOwnPrior);
         }
         let middle = match self.history.middle(fix.time_us, &self.config) {
             Ok(middle) => middle,
@@ -174,7 +174,7 @@ impl Filter {
         let end = frame.local(fix.at, fix.yaw_rad)?;
         let local = LocalFix::new(fix.time_us, (end, &covariance), &middle.to_end, &self.config.fixes);
         let outcome = self.history.insert(middle.time_us, local, &self.config);
-        if matches!(outcome, Outcome::Used { .. } | Outcome::Started | Outcome::Reset { .. }) {
+        if matches!(outcome, FixOutcome::Used { .. } | FixOutcome::Started | FixOutcome::Reset { .. }) {
             self.follow(&frame, fix.at, &end)?;
         }
         Ok(outcome)
@@ -183,13 +183,13 @@ impl Filter {
     /// Where the vehicle is at the newest odometry pose; `None` until enough fixes agreed, and after
     /// so long a way without any that the estimate is worth nothing.
     #[must_use]
-    pub fn pose(&self) -> Option<Estimate> {
+    pub fn pose(&self) -> Option<FilterEstimate> {
         let (time_us, track) = self.history.newest(&self.config)?;
-        Estimate::of(time_us, &track, &self.frame?)
+        FilterEstimate::of(time_us, &track, &self.frame?)
     }
 
-    /// The plane to place a fix in: that of the first, unless that led nowhere.
-    fn frame_for(&mut self, at: LatLon) -> Result<Frame, Error> {
+    /// The plane for a fix: that of the first, unless that led nowhere.
+    fn frame_for(&mut self, at: LatLon) -> Result<LocalPlane, Error> {
         if let Some(frame) = self.frame.filter(|frame| frame.reaches(at)) {
             return Ok(frame);
         }
@@ -197,17 +197,17 @@ impl Filter {
         if believing {
             return Err(Error::FarAway { at });
         }
-        let frame = Frame::around(at)?;
+        let frame = LocalPlane::around(at)?;
         self.history.forget_fixes();
         self.frame = Some(frame);
         Ok(frame)
     }
 
     /// Moves the local plane along once a fix is far from its origin.
-    fn follow(&mut self, frame: &Frame, at: LatLon, local: &Pose2) -> Result<(), Error> {
+    fn follow(&mut self, frame: &LocalPlane, at: LatLon, local: &Pose2) -> Result<(), Error> {
         if local.distance_m(&Pose2::IDENTITY) > FRAME_REACH_M {
             let old_origin = frame.local(at, 0.0)?.inverse();
-            self.frame = Some(Frame::around(at)?);
+            self.frame = Some(LocalPlane::around(at)?);
             self.history.move_to(&old_origin);
         }
         Ok(())

@@ -8,13 +8,13 @@ use super::config::FixNoise;
 /// against any fix; it keeps matrices invertible.
 const FRESH_SIGMA: [f64; 3] = [0.01, 0.01, 2e-4];
 /// The most of a fix's variance that is put down to the map.
-const MAP_SHARE: f64 = 0.9;
+const MAP_FRACTION: f64 = 0.9;
 
 /// A fix's covariance, split: `map * map^T * V + batch * batch^T + fresh`, with `V` the variances of
 /// the map's own error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Split {
-    /// Share of the map's own error in each component: 1, or less where the fix is known better
+    /// Fraction of the map's own error in each component: 1, or less where the fix is known better
     /// than the map is said to be.
     pub(super) map: Vector3<f64>,
     /// A root of what the fixes of overlapping batches have in common, metres and radians per
@@ -27,21 +27,21 @@ pub(super) struct Split {
 impl Split {
     /// Splits a positive semidefinite covariance.
     ///
-    /// A fix is never believed better than it says, only told which part of its error the next
-    /// one has, too. The map's part is taken from what the rest of the matrix does not explain, so
-    /// that what is left stays a covariance.
+    /// The parts sum up to the fix's own covariance: a split only says which part of its error the next fix
+    /// has, too. The map's part is taken from what the rest of the matrix does not explain, so that what is
+    /// left stays a covariance.
     pub(super) fn of(covariance: &Matrix3<f64>, noise: &FixNoise) -> Self {
         let fresh = Matrix3::from_diagonal(&Vector3::from(FRESH_SIGMA.map(|s| s * s)));
         // Positive definite from here on.
         let mut left = covariance + fresh;
         let position = left.fixed_view::<2, 2>(0, 0).into_owned();
         let lever: Vector2<f64> = left.fixed_view::<2, 1>(0, 2).into_owned();
-        let map_m2 = share(smallest(&(position - lever * lever.transpose() / left[(2, 2)])), noise.map_m);
+        let map_m2 = fraction(smallest(&(position - lever * lever.transpose() / left[(2, 2)])), noise.map_m);
         left[(0, 0)] -= map_m2 * noise.map_m.powi(2);
         left[(1, 1)] -= map_m2 * noise.map_m.powi(2);
         let position = left.fixed_view::<2, 2>(0, 0).into_owned();
         let explained = position.try_inverse().map_or(0.0, |p| lever.dot(&(p * lever)));
-        let map_rad2 = share(left[(2, 2)] - explained, noise.map_rad);
+        let map_rad2 = fraction(left[(2, 2)] - explained, noise.map_rad);
         left[(2, 2)] -= map_rad2 * noise.map_rad.powi(2);
         let map = Vector3::new(map_m2.sqrt(), map_m2.sqrt(), map_rad2.sqrt());
         Self { map, batch: root(&left), fresh }
@@ -49,8 +49,8 @@ impl Split {
 }
 
 /// How much of the map's variance fits into a variance.
-fn share(variance: f64, map_sigma: f64) -> f64 {
-    if map_sigma > 0.0 { (MAP_SHARE * variance.max(0.0) / map_sigma.powi(2)).min(1.0) } else { 0.0 }
+fn fraction(variance: f64, map_sigma: f64) -> f64 {
+    if map_sigma > 0.0 { (MAP_FRACTION * variance.max(0.0) / map_sigma.powi(2)).min(1.0) } else { 0.0 }
 }
 
 /// The smaller eigenvalue.
@@ -97,7 +97,7 @@ mod tests {
             let split = Split::of(&covariance, &noise);
             let error = whole(&split, &noise) - covariance - 2.0 * split.fresh;
             prop_assert!(error.norm() < 1e-9 * (1.0 + covariance.norm()), "{error}");
-            prop_assert!(split.map.iter().all(|share| (0.0..=1.0).contains(share)), "{}", split.map);
+            prop_assert!(split.map.iter().all(|fraction| (0.0..=1.0).contains(fraction)), "{}", split.map);
         }
     }
 }

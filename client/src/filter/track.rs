@@ -3,10 +3,10 @@
 use echofix_core::pose::Pose2;
 
 use super::belief::Belief;
-use super::config::Config;
+use super::config::FilterConfig;
 use super::local_fix::LocalFix;
-use super::measurement::Outcome;
-use super::step::Step;
+use super::measurement::FixOutcome;
+use super::step::OdometryStep;
 
 /// A fix that was not let in, and may yet be proved right by others.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,20 +41,20 @@ impl Track {
     }
 
     /// The track after a way.
-    pub(super) fn carried(&self, step: &Step, config: &Config) -> Self {
+    pub(super) fn carried(&self, step: &OdometryStep, config: &FilterConfig) -> Self {
         let belief = self.belief.and_then(|belief| belief.carried(step, config));
         Self { belief, rivals: self.rivals.clone(), last_fix_us: self.last_fix_us }
     }
 
     /// The track with the fix of an odometry pose's time taken into account, or not.
-    pub(super) fn with(&self, fix: &LocalFix, at: (i64, Pose2), config: &Config) -> (Self, Outcome) {
+    pub(super) fn with(&self, fix: &LocalFix, at: (i64, Pose2), config: &FilterConfig) -> (Self, FixOutcome) {
         let innovation = self.belief.and_then(|belief| Some((belief, belief.innovation(fix)?)));
         if let Some((belief, innovation)) = innovation
             && innovation.nis <= config.gate_nis
         {
             return (
                 Self::believing(&belief.corrected(&innovation), fix),
-                Outcome::Used { nis: innovation.nis },
+                FixOutcome::Used { nis: innovation.nis },
             );
         }
         let nis = innovation.map_or(f64::INFINITY, |(_, innovation)| innovation.nis);
@@ -63,12 +63,12 @@ impl Track {
         let overruled = agreeing >= config.recovery.agreeing
             && (self.belief.is_none() || span_s(&rivals) >= config.recovery.span_s);
         if overruled && let Some(belief) = consensus(&rivals, config) {
-            let outcome = if self.belief.is_none() { Outcome::Started } else { Outcome::Reset { nis } };
+            let outcome = if self.belief.is_none() { FixOutcome::Started } else { FixOutcome::Reset { nis } };
             return (Self::believing(&belief, fix), outcome);
         }
         let outcome = match self.belief {
-            Some(_) => Outcome::Gated { nis, agreeing },
-            None => Outcome::Waiting { agreeing },
+            Some(_) => FixOutcome::Gated { nis, agreeing },
+            None => FixOutcome::Waiting { agreeing },
         };
         (Self { rivals, ..*self }, outcome)
     }
@@ -88,7 +88,12 @@ impl Track {
     }
 
     /// The rivals that agree with a new one, and the new one.
-    fn rivals_with(&self, fix: &LocalFix, (time_us, odometry): (i64, Pose2), config: &Config) -> Vec<Rival> {
+    fn rivals_with(
+        &self,
+        fix: &LocalFix,
+        (time_us, odometry): (i64, Pose2),
+        config: &FilterConfig,
+    ) -> Vec<Rival> {
         let new = Rival { time_us, odometry, fix: *fix };
         let recent = |old: &&Rival| new.since(old).time_s <= config.recovery.within_s;
         let agrees = |old: &&Rival| new.agrees_with(old, config);
@@ -99,12 +104,12 @@ impl Track {
 }
 
 impl Rival {
-    fn since(&self, earlier: &Self) -> Step {
-        Step::between((earlier.time_us, earlier.odometry), (self.time_us, self.odometry))
+    fn since(&self, earlier: &Self) -> OdometryStep {
+        OdometryStep::between((earlier.time_us, earlier.odometry), (self.time_us, self.odometry))
     }
 
     /// Whether this fix would be let in by a filter started from an earlier one.
-    fn agrees_with(&self, earlier: &Self, config: &Config) -> bool {
+    fn agrees_with(&self, earlier: &Self, config: &FilterConfig) -> bool {
         let carried = Belief::from_fix(&earlier.fix, config).carried(&self.since(earlier), config);
         let innovation = carried.and_then(|belief| belief.innovation(&self.fix));
         innovation.is_some_and(|innovation| innovation.nis <= config.gate_nis)
@@ -118,8 +123,8 @@ fn span_s(rivals: &[Rival]) -> f64 {
     }
 }
 
-/// What fixes that agree tell together, at the time of the last.
-fn consensus(rivals: &[Rival], config: &Config) -> Option<Belief> {
+/// The belief of fixes that agree, at the time of the last.
+fn consensus(rivals: &[Rival], config: &FilterConfig) -> Option<Belief> {
     let mut belief = Belief::from_fix(&rivals.first()?.fix, config);
     for pair in rivals.windows(2) {
         belief = belief.carried(&pair[1].since(&pair[0]), config)?;

@@ -7,9 +7,10 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Folder, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{DataFolder, Error, LocalFrame, detect, micros, on_the_globe, poses};
+use crate::drivelog::Problem;
 
-/// 19th Avenue, San Francisco: near where the drive was, for want of the true place.
+/// 19th Avenue, San Francisco: near where the drive was, for want of the true position.
 const NOMINAL_ORIGIN: LatLon = LatLon { lat_deg: 37.7349, lon_deg: -122.4751 };
 /// 2018-08-02 00:00 UTC, the date in the drive's name, microseconds since the Unix epoch.
 const NOMINAL_START_US: i64 = 1_533_168_000_000_000;
@@ -19,7 +20,7 @@ const SIGMA_POSITION_M: f64 = 0.5;
 const SIGMA_YAW_RAD: f64 = 0.016;
 
 #[derive(Deserialize)]
-struct Track {
+struct TrackRow {
     scan_id: u64,
     t: f64,
     x_forward: f64,
@@ -37,7 +38,7 @@ struct Track {
 ///   ahead of it, and both that lever arm and the angle between the two are unknown. The mount is
 ///   left at the origin. The sigmas are guesses: 0.5 m, and the mean angle of 0.016 rad between the
 ///   camera's heading and the course.
-/// - The absolute place is *nominal* (37.7349, -122.4751): the data are metres from the first pose.
+/// - The absolute position is *nominal* (37.7349, -122.4751): the data are metres from the first pose.
 /// - The date is *nominal* too: the device's seconds are counted from 2018-08-02 00:00 UTC.
 ///
 /// Source: `commaai/comma2k19`, `Example_1` (MIT).
@@ -45,7 +46,7 @@ struct Track {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Folder { path: folder.as_ref(), set: "comma2k19" };
+    let folder = DataFolder { path: folder.as_ref(), set: "comma2k19" };
     let odometry = poses(&folder, NOMINAL_START_US)?;
     let frame = LocalFrame::at(NOMINAL_ORIGIN);
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -60,12 +61,12 @@ pub fn comma2k19(folder: impl AsRef<Path>) -> Result<Drive, Error> {
 }
 
 /// One scan a cycle, at the time of the cycle's first message.
-fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &DataFolder) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward", "y_left", "v_rel"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
-    folder.table("scans.csv")?.rows(&columns, |row: Track| {
+    folder.table("scans.csv")?.rows(&columns, |row: TrackRow| {
         if !row.v_rel.is_finite() {
-            return Err("v_rel is not finite".into());
+            return Err(Problem::NotFinite);
         }
         if scans.last().is_none_or(|(id, _)| *id != row.scan_id) {
             let time_us = NOMINAL_START_US + micros(row.t)?;
@@ -83,7 +84,7 @@ fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
 mod tests {
     use super::*;
     use crate::import::data_dir;
-    use echofix_core::doppler::drop_movers;
+    use echofix_core::gate::{Gate, gate_scan};
     use std::fs;
 
     #[test]
@@ -115,7 +116,7 @@ mod tests {
             assert!(scan.validate().is_ok());
             let Some(velocity) = drive.odometry.velocity_at(scan.time_us) else { continue };
             let mut kept = scan.clone();
-            drop_movers(&mut kept, &drive.mounts[0], velocity, 1.0);
+            gate_scan(&mut kept, &drive.mounts[0], Some(velocity), &Gate::of_movers(1.0));
             all += scan.len();
             stationary += kept.len();
         }

@@ -1,6 +1,6 @@
-//! Other people's radar data as drives.
+//! Public radar data as drives.
 //!
-//! Both sets are fragments of public data, prepared as CSV; neither sees a place twice, so neither
+//! Both sets are fragments of public data, prepared as CSV; neither drives a street twice, so neither
 //! can prove a localization. They show that real detections, real poses and real clocks go
 //! through. What is not known about them is said at each function, and in the sigmas.
 
@@ -19,7 +19,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Scan;
 use serde::Deserialize;
 
-use crate::drivelog::{self, tables::Table};
+use crate::drivelog::{self, Problem, tables::Table};
 use local_frame::LocalFrame;
 
 /// Why foreign data cannot be read.
@@ -29,9 +29,9 @@ pub enum Error {
     /// A file is missing.
     #[error("{} is missing (also as .gz); expected the folder of the prepared {set} fragment", .path.display())]
     Missing {
-        /// The file.
+        /// The file of the data set.
         path: PathBuf,
-        /// The data set.
+        /// The name of the data set.
         set: &'static str,
     },
     /// A file or a row of it cannot be used.
@@ -43,18 +43,18 @@ pub enum Error {
     /// A file holds nothing.
     #[error("{} has no rows", .path.display())]
     Empty {
-        /// The file.
+        /// The file of the data set.
         path: PathBuf,
     },
 }
 
 /// The files of one fragment.
-struct Folder<'a> {
+struct DataFolder<'a> {
     path: &'a Path,
     set: &'static str,
 }
 
-impl Folder<'_> {
+impl DataFolder<'_> {
     fn table(&self, name: &str) -> Result<Table, Error> {
         Table::find(self.path, name)?
             .ok_or_else(|| Error::Missing { path: self.path.join(name), set: self.set })
@@ -75,12 +75,12 @@ struct PoseRow {
 }
 
 /// Poses in a local frame as odometry. `start_us` is the time of `t` = 0.
-fn poses(folder: &Folder, start_us: i64) -> Result<Trajectory, Error> {
+fn poses(folder: &DataFolder, start_us: i64) -> Result<Trajectory, Error> {
     let mut rows = Vec::new();
     folder.table("poses.csv")?.rows(&["t", "x_east", "y_north", "heading"], |row: PoseRow| {
         let pose = Pose2::new(row.x_east, row.y_north, row.heading);
         if !pose.is_finite() {
-            return Err("the pose is not finite".into());
+            return Err(Problem::NotFinite);
         }
         rows.push((start_us + micros(row.t)?, pose));
         Ok(())
@@ -106,9 +106,9 @@ fn on_the_globe(
 }
 
 /// Adds a detection given in metres forward and left of the sensor.
-fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), String> {
+fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), Problem> {
     if !(forward_m.is_finite() && left_m.is_finite()) {
-        return Err("the detection's place is not finite".into());
+        return Err(Problem::NotFinite);
     }
     scan.range_m.push(forward_m.hypot(left_m) as f32);
     scan.azimuth_rad.push(left_m.atan2(forward_m) as f32);
@@ -116,13 +116,9 @@ fn detect(scan: &mut Scan, forward_m: f64, left_m: f64) -> Result<(), String> {
 }
 
 /// Seconds as microseconds.
-fn micros(seconds: f64) -> Result<i64, String> {
+fn micros(seconds: f64) -> Result<i64, Problem> {
     // Beyond this a double no longer holds a microsecond.
-    if seconds.abs() < 4e9 {
-        Ok((seconds * 1e6).round() as i64)
-    } else {
-        Err(format!("{seconds} is not a time in seconds"))
-    }
+    if seconds.abs() < 4e9 { Ok((seconds * 1e6).round() as i64) } else { Err(Problem::NotATime { seconds }) }
 }
 
 #[cfg(test)]

@@ -7,7 +7,8 @@ use echofix_core::geo::LatLon;
 use echofix_core::scan::{Mount, Scan};
 use serde::Deserialize;
 
-use super::{Error, Folder, LocalFrame, detect, micros, on_the_globe, poses};
+use super::{DataFolder, Error, LocalFrame, detect, micros, on_the_globe, poses};
+use crate::drivelog::Problem;
 
 /// How far the poses stray from GPS/INS, RMS over the fragment, metres.
 const SIGMA_POSITION_M: f64 = 0.17;
@@ -15,7 +16,7 @@ const SIGMA_POSITION_M: f64 = 0.17;
 const SIGMA_YAW_RAD: f64 = 0.004;
 
 #[derive(Deserialize)]
-struct Point {
+struct PointRow {
     scan_id: u64,
     t: f64,
     x_forward_dsk: f64,
@@ -23,7 +24,7 @@ struct Point {
 }
 
 #[derive(Deserialize)]
-struct Gps {
+struct GpsRow {
     lat: f64,
     lon: f64,
 }
@@ -33,11 +34,11 @@ struct Gps {
 ///
 /// - Scans: the points that were moved to the time of their scan (`x_forward_dsk`, `y_left_dsk`);
 ///   one sensor at the body's origin, which is the radar. The radar measures no radial speed, so
-///   movers cannot be told; the received power is not a radar cross section and is left out.
+///   movers cannot be recognised; the received power is not a radar cross section and is left out.
 /// - `odometry`, `reference` and `truth` are all `poses.csv`: lidar odometry, independent of the
 ///   radar, fitted as a whole to GPS/INS. Its scale is 1.2 % off GPS; its relative accuracy over
 ///   the fragment is estimated at 0.1 m and not verified. The sigmas are its RMS distance from GPS.
-/// - The local frame is placed at the first fix of `gps_ins.csv`. The absolute position is as good
+/// - The local frame has its origin at the first fix of `gps_ins.csv`. The absolute position is as good
 ///   as that GPS, which is not known.
 /// - Time is the host computer's Unix time, whose offset from UTC is not known (the GPS clock of
 ///   the set is 66 s ahead).
@@ -48,7 +49,7 @@ struct Gps {
 /// # Errors
 /// Naming the file and the line that cannot be used.
 pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
-    let folder = Folder { path: folder.as_ref(), set: "RADIATE" };
+    let folder = DataFolder { path: folder.as_ref(), set: "RADIATE" };
     let frame = LocalFrame::at(first_fix(&folder)?);
     let odometry = poses(&folder, 0)?;
     let truth = on_the_globe(&odometry, &frame, SIGMA_POSITION_M, SIGMA_YAW_RAD);
@@ -62,11 +63,11 @@ pub fn radiate(folder: impl AsRef<Path>) -> Result<Drive, Error> {
     })
 }
 
-fn first_fix(folder: &Folder) -> Result<LatLon, Error> {
+fn first_fix(folder: &DataFolder) -> Result<LatLon, Error> {
     let mut first = None;
-    folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: Gps| {
+    folder.table("gps_ins.csv")?.rows(&["lat", "lon"], |row: GpsRow| {
         if !(row.lat.abs() <= 90.0 && row.lon.abs() <= 180.0) {
-            return Err(format!("{}, {} is not a position in degrees", row.lat, row.lon));
+            return Err(Problem::NotAPosition { lat_deg: row.lat, lon_deg: row.lon });
         }
         first.get_or_insert(LatLon { lat_deg: row.lat, lon_deg: row.lon });
         Ok(())
@@ -74,10 +75,10 @@ fn first_fix(folder: &Folder) -> Result<LatLon, Error> {
     first.ok_or_else(|| folder.empty("gps_ins.csv"))
 }
 
-fn scans(folder: &Folder) -> Result<Vec<Scan>, Error> {
+fn scans(folder: &DataFolder) -> Result<Vec<Scan>, Error> {
     let columns = ["scan_id", "t", "x_forward_dsk", "y_left_dsk"];
     let mut scans: Vec<(u64, Scan)> = Vec::new();
-    folder.table("scans.csv")?.rows(&columns, |row: Point| {
+    folder.table("scans.csv")?.rows(&columns, |row: PointRow| {
         if scans.last().is_none_or(|(id, _)| *id != row.scan_id) {
             scans.push((row.scan_id, Scan { time_us: micros(row.t)?, ..Scan::default() }));
         }
@@ -161,7 +162,7 @@ mod tests {
     #[ignore = "needs ECHOFIX_DATA_DIR"]
     fn our_local_frame_is_the_one_of_the_data() {
         let dir = data_dir("radiate_tiny_foggy");
-        let folder = Folder { path: &dir, set: "RADIATE" };
+        let folder = DataFolder { path: &dir, set: "RADIATE" };
         let frame = LocalFrame::at(first_fix(&folder).unwrap());
         let check = |row: GpsLocal| {
             let (at, _) = frame.to_geodetic(&echofix_core::pose::Pose2::new(row.x_east, row.y_north, 0.0));

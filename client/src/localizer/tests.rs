@@ -1,10 +1,10 @@
 //! Asking services that answer, refuse, shed and hang.
 
 use super::*;
-use crate::refusal::Refusal;
+use crate::refusal::RefusalReason;
 use crate::testing::T0;
 use crate::testing::service::{Behaviour, MockService};
-use crate::vehicle::{Config, Vehicle};
+use crate::vehicle::{Vehicle, VehicleConfig};
 use echofix_core::drive::GeoPose;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
@@ -12,7 +12,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 fn vehicle() -> Vehicle {
-    let mut vehicle = Vehicle::new(Config::default(), vec![Mount::IDENTITY]);
+    let mut vehicle = Vehicle::new(VehicleConfig::default(), vec![Mount::IDENTITY]);
     for i in 0..20 {
         let time_us = T0 + i * 100_000;
         vehicle.push_odometry(time_us, Pose2::new(i as f64, 0.0, 0.0)).unwrap();
@@ -26,8 +26,8 @@ fn vehicle() -> Vehicle {
 
 async fn localizer(script: Vec<Behaviour>) -> (Localizer, MockService) {
     let service = MockService::start(script).await;
-    let backoff = Policy { initial: Duration::from_millis(5), max: Duration::from_millis(20) };
-    let options = Options { deadline: Duration::from_secs(1), backoff };
+    let backoff = BackoffPolicy { initial: Duration::from_millis(5), max: Duration::from_millis(20) };
+    let options = LocalizerOptions { deadline: Duration::from_secs(1), backoff };
     (Localizer::new(service.endpoint(), options), service)
 }
 
@@ -51,7 +51,7 @@ async fn a_refusal_is_typed_and_not_repeated() {
     let refusal = Status::with_error_details(Code::FailedPrecondition, "nothing there", info);
     let (localizer, service) = localizer(vec![Behaviour::Fail(refusal)]).await;
     let error = localizer.ask(&vehicle().question().unwrap()).await.unwrap_err();
-    assert!(matches!(error, CallError::Refused { reason: Refusal::NoMap, .. }), "{error}");
+    assert!(matches!(error, CallError::Refused { reason: RefusalReason::NoMap, .. }), "{error}");
     assert_eq!(service.call_times().len(), 1);
 }
 
@@ -79,7 +79,7 @@ async fn a_wish_to_wait_beyond_the_deadline_ends_the_asking() {
 async fn nobody_at_the_address_is_told() {
     let nobody = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
     let endpoint = Endpoint::from_shared(format!("http://{nobody}")).unwrap();
-    let options = Options { deadline: Duration::from_millis(200), ..Options::default() };
+    let options = LocalizerOptions { deadline: Duration::from_millis(200), ..LocalizerOptions::default() };
     let error = Localizer::new(endpoint, options).ask(&vehicle().question().unwrap()).await.unwrap_err();
     assert!(matches!(error, CallError::Unavailable { .. }), "{error}");
 }

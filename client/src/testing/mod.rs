@@ -1,5 +1,6 @@
 //! Values for this crate's tests.
 
+pub(crate) mod decode;
 pub(crate) mod service;
 
 use echofix_core::drive::{Drive, GeoPose};
@@ -11,8 +12,7 @@ use echofix_proto::v1;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::upload::Upload;
-use crate::wire::Columns;
+use crate::upload::PreparedUpload;
 
 /// Microseconds since the Unix epoch around which tests drive.
 pub(crate) const T0: i64 = 1_700_000_000_000_000;
@@ -100,8 +100,8 @@ pub(crate) fn usable_answer(time_us: i64) -> v1::LocalizeResponse {
 }
 
 /// An upload of some detections under a fresh id.
-pub(crate) fn upload(detections: usize) -> Upload {
-    let mut upload = Upload::start("test-car", &[Mount::IDENTITY], T0);
+pub(crate) fn upload(detections: usize) -> PreparedUpload {
+    let mut upload = PreparedUpload::start("test-car", &[Mount::IDENTITY], T0);
     let pose = |time_us| GeoPose { time_us, ..GeoPose::default() };
     let scan = Scan {
         time_us: T0 + 50_000,
@@ -109,6 +109,6 @@ pub(crate) fn upload(detections: usize) -> Upload {
         azimuth_rad: vec![0.5; detections],
         ..Scan::default()
     };
-    upload.add(&[pose(T0), pose(T0 + 100_000)], &[scan], Columns::Geometry);
+    upload.add(&[pose(T0), pose(T0 + 100_000)], &[scan]);
     upload
 }

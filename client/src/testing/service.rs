@@ -30,7 +30,7 @@ pub(crate) enum Behaviour {
 }
 
 #[derive(Default)]
-struct State {
+struct MockState {
     script: VecDeque<Behaviour>,
     counted: Vec<Uuid>,
     calls: Vec<Instant>,
@@ -40,7 +40,7 @@ struct State {
 /// Follows its script, one behaviour a call, then accepts.
 #[derive(Clone)]
 pub(crate) struct MockService {
-    state: Arc<Mutex<State>>,
+    state: Arc<Mutex<MockState>>,
     address: SocketAddr,
 }
 
@@ -48,7 +48,7 @@ impl MockService {
     pub(crate) async fn start(script: Vec<Behaviour>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
-        let state = Arc::new(Mutex::new(State { script: script.into(), ..State::default() }));
+        let state = Arc::new(Mutex::new(MockState { script: script.into(), ..MockState::default() }));
         let service = Self { state, address };
         let router = Server::builder()
             .add_service(MappingServiceServer::new(service.clone()))

@@ -7,28 +7,28 @@ use std::time::SystemTime;
 
 use echofix_core::geo::{TileId, Zone};
 
-use super::index::Index;
-use super::name::Name;
+use super::index::CacheIndex;
+use super::name::TileVersionName;
 use super::{Error, io_error};
 use crate::disk;
 
 /// The tiles of a folder, in the order in which they were used last; removes what a crash left.
-pub(super) fn scan(dir: &Path) -> Result<Index, Error> {
-    let mut found: Vec<(SystemTime, Name, u64)> = Vec::new();
+pub(super) fn scan(dir: &Path) -> Result<CacheIndex, Error> {
+    let mut found: Vec<(SystemTime, TileVersionName, u64)> = Vec::new();
     for folder in entries(dir)? {
         let epsg = folder.file_name().and_then(|name| name.to_str()?.parse().ok());
         let Some(zone) = epsg.and_then(|epsg| Zone::from_epsg(epsg).ok()) else { continue };
         for path in entries(&folder)? {
             if path.extension().is_some_and(|ending| ending == disk::PART) {
                 remove(&path)?;
-            } else if let Some(name) = Name::of(zone, &path) {
+            } else if let Some(name) = TileVersionName::of(zone, &path) {
                 let data = fs::metadata(&path).map_err(io_error(&path))?;
                 found.push((data.modified().map_err(io_error(&path))?, name, data.len()));
             }
         }
     }
     found.sort_unstable();
-    let mut index = Index::default();
+    let mut index = CacheIndex::default();
     for (_, name, bytes) in found {
         // A crash came before the older version was removed. Should the newer be the one that goes, it is fetched again.
         if let Some(older) = index.name(name.id) {

@@ -4,30 +4,30 @@ use std::collections::BTreeMap;
 
 use echofix_core::geo::TileId;
 
-use super::name::Name;
+use super::name::TileVersionName;
 
 /// The tiles of a cache. Times are counts of uses.
 #[derive(Debug, Default)]
-pub(super) struct Index {
-    tiles: BTreeMap<TileId, Entry>,
+pub(super) struct CacheIndex {
+    tiles: BTreeMap<TileId, CachedTile>,
     by_use: BTreeMap<u64, TileId>,
     bytes: u64,
     now: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Entry {
+struct CachedTile {
     version: u64,
     bytes: u64,
     used: u64,
 }
 
-impl Index {
+impl CacheIndex {
     pub(super) fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// What they come to with a tile, which takes the place of its other version.
+    /// Bytes with another tile, which replaces its other version.
     pub(super) fn bytes_with(&self, newcomer: Option<(TileId, u64)>) -> u64 {
         newcomer.map_or(self.bytes, |(id, bytes)| {
             self.bytes + bytes - self.tiles.get(&id).map_or(0, |entry| entry.bytes)
@@ -42,8 +42,8 @@ impl Index {
         self.tiles.iter().map(|(id, entry)| (*id, entry.version))
     }
 
-    pub(super) fn name(&self, id: TileId) -> Option<Name> {
-        Some(Name { id, version: self.version(id)? })
+    pub(super) fn name(&self, id: TileId) -> Option<TileVersionName> {
+        Some(TileVersionName { id, version: self.version(id)? })
     }
 
     /// A time that all uses before are older than.
@@ -62,10 +62,10 @@ impl Index {
         Some(entry.version)
     }
 
-    /// Takes a tile, used now, in place of another version of it.
-    pub(super) fn insert(&mut self, Name { id, version }: Name, bytes: u64) {
+    /// Takes a tile, used now; it replaces another version of it.
+    pub(super) fn insert(&mut self, TileVersionName { id, version }: TileVersionName, bytes: u64) {
         let used = self.tick();
-        if let Some(before) = self.tiles.insert(id, Entry { version, bytes, used }) {
+        if let Some(before) = self.tiles.insert(id, CachedTile { version, bytes, used }) {
             self.by_use.remove(&before.used);
             self.bytes -= before.bytes;
         }
@@ -74,7 +74,7 @@ impl Index {
     }
 
     /// Forgets a tile if it is this version that is there.
-    pub(super) fn forget(&mut self, name: Name) {
+    pub(super) fn forget(&mut self, name: TileVersionName) {
         if self.version(name.id) == Some(name.version)
             && let Some(entry) = self.tiles.remove(&name.id)
         {
@@ -84,7 +84,7 @@ impl Index {
     }
 
     /// The tile that was not used for longest, nor at `since` or later.
-    pub(super) fn oldest(&self, since: u64) -> Option<Name> {
+    pub(super) fn oldest(&self, since: u64) -> Option<TileVersionName> {
         let (used, id) = self.by_use.first_key_value()?;
         if *used < since { self.name(*id) } else { None }
     }

@@ -1,6 +1,6 @@
-//! The map on the vehicle: tiles on disk that are downloaded once and kept up to date.
+//! The map on the vehicle: tiles on disk that are downloaded once and updated.
 //!
-//! [`TileCache::sync`] tells the service which versions the cache has of the tiles that are wanted
+//! [`TileCache::sync`] reports to the service which versions the cache has of the tiles that are wanted
 //! ([`Want`]: an area, a route, tiles by their ids), takes what changed, and removes what the map no longer
 //! holds. [`TileCache::tile`] reads a tile without the network.
 //!
@@ -10,16 +10,16 @@
 //! - **a crash** leaves a file under another ending, or a tile in two versions; opening removes either;
 //! - **a damaged file** is noticed when it is read, and removed: the next `sync` fetches it again;
 //! - **full**: the tiles that were not used for longest go first, but none that the same `sync` wants;
-//! - **a sync that breaks off** keeps what came; the next one goes on from there.
+//! - **a sync that breaks off** leaves what came; the next one goes on from there.
 //!
 //! Versions are those of one service: give each service's map a folder of its own.
 //!
 //! ```no_run
-//! use echofix_client::service::Service;
-//! use echofix_client::tiles::{Limits, TileCache, Want};
+//! use echofix_client::service::ServiceAddress;
+//! use echofix_client::tiles::{TileCacheLimits, TileCache, Want};
 //! # async fn drive(route: &[echofix_core::geo::LatLon]) -> Result<(), Box<dyn std::error::Error>> {
-//! let cache = TileCache::open("/var/lib/echofix/tiles", Limits::default())?;
-//! let service = Service::at("http://127.0.0.1:50051").endpoint()?;
+//! let cache = TileCache::open("/var/lib/echofix/tiles", TileCacheLimits::default())?;
+//! let service = ServiceAddress::at("http://127.0.0.1:50051").endpoint()?;
 //! let done = cache.sync(&service, &Want::along(route, 100.0)?).await?;
 //! println!("{} tiles in {} bytes, {} were up to date", done.fetched, done.bytes, done.unchanged);
 //! # Ok(())
@@ -43,20 +43,20 @@ use echofix_core::tile::{self, DecodeError, Tile};
 
 use crate::disk;
 use crate::refusal::CallError;
-use index::Index;
-use name::Name;
+use index::CacheIndex;
+use name::TileVersionName;
 
 pub use sync::Synced;
 pub use want::Want;
 
 /// How much a cache may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
+pub struct TileCacheLimits {
     /// Bytes of its tiles.
     pub max_bytes: u64,
 }
 
-impl Default for Limits {
+impl Default for TileCacheLimits {
     /// A gigabyte: the streets of a large city.
     fn default() -> Self {
         Self { max_bytes: 1 << 30 }
@@ -67,7 +67,7 @@ impl Default for Limits {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The service cannot be reached or refuses; what came before is kept.
+    /// The service cannot be reached or refuses; what came before stays.
     #[error(transparent)]
     Call(#[from] CallError),
     /// The service's answer is not what the contract says.
@@ -76,9 +76,9 @@ pub enum Error {
     /// A tile came that cannot be read.
     #[error("tile {id} came from the service and cannot be read: {source}")]
     Unreadable {
-        /// Which.
+        /// The tile.
         id: TileId,
-        /// What is wrong with it.
+        /// Why it cannot be decoded.
         source: DecodeError,
     },
     /// The tiles wanted are more than the cache may hold.
@@ -87,23 +87,23 @@ pub enum Error {
          for fewer", .dir.display()
     )]
     Full {
-        /// The cache.
+        /// The cache's folder.
         dir: PathBuf,
-        /// The limit.
+        /// Bytes the cache may hold, at most.
         max_bytes: u64,
     },
     /// Another process has the cache open.
     #[error("the tile cache {} is in use by another process; give each its own folder", .dir.display())]
     InUse {
-        /// The cache.
+        /// The cache's folder.
         dir: PathBuf,
     },
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder of the cache.
         path: PathBuf,
-        /// What it says.
+        /// The error of the file system.
         source: io::Error,
     },
 }
@@ -111,14 +111,14 @@ pub enum Error {
 /// Tiles on disk; cheap to clone. All but [`TileCache::sync`] block on the disk.
 #[derive(Debug, Clone)]
 pub struct TileCache {
-    inner: Arc<Inner>,
+    inner: Arc<CacheInner>,
 }
 
 #[derive(Debug)]
-struct Inner {
+struct CacheInner {
     dir: PathBuf,
-    limits: Limits,
-    index: Mutex<Index>,
+    limits: TileCacheLimits,
+    index: Mutex<CacheIndex>,
     /// Whoever holds it writes tiles.
     syncing: tokio::sync::Mutex<()>,
     /// Held as long as the cache is open.
@@ -130,14 +130,14 @@ impl TileCache {
     ///
     /// # Errors
     /// When another process has it open or the file system refuses.
-    pub fn open(dir: impl Into<PathBuf>, limits: Limits) -> Result<Self, Error> {
+    pub fn open(dir: impl Into<PathBuf>, limits: TileCacheLimits) -> Result<Self, Error> {
         let dir = dir.into();
         std::fs::create_dir_all(&dir).map_err(io_error(&dir))?;
         let path = dir.join("lock");
         let lock = disk::lock(&path).map_err(io_error(&path))?;
         let lock = lock.ok_or_else(|| Error::InUse { dir: dir.clone() })?;
         let index = Mutex::new(files::scan(&dir)?);
-        let inner = Inner { dir, limits, index, syncing: tokio::sync::Mutex::default(), _lock: lock };
+        let inner = CacheInner { dir, limits, index, syncing: tokio::sync::Mutex::default(), _lock: lock };
         // The limit may have been lowered.
         inner.make_room(None, u64::MAX)?;
         Ok(Self { inner: Arc::new(inner) })
@@ -149,10 +149,10 @@ impl TileCache {
     /// # Errors
     /// When the file system refuses.
     pub fn tile(&self, id: TileId) -> Result<Option<(u64, Tile)>, Error> {
-        let Inner { dir, .. } = &*self.inner;
+        let CacheInner { dir, .. } = &*self.inner;
         loop {
             let Some(version) = self.inner.index().touch(id) else { return Ok(None) };
-            let name = Name { id, version };
+            let name = TileVersionName { id, version };
             let path = name.path(dir);
             let damage = match files::read(&path) {
                 Ok(encoded) => match tile::decode(&encoded) {
@@ -191,10 +191,10 @@ impl TileCache {
     }
 }
 
-impl Inner {
-    /// Takes a version of a tile in place of the one that is there. Tiles that were used at `since` or later make
+impl CacheInner {
+    /// Takes a version of a tile, which replaces the one that is there. Tiles that were used at `since` or later make
     /// no room for it. Returns how many did.
-    fn put(&self, name: Name, encoded: &[u8], since: u64) -> Result<u32, Error> {
+    fn put(&self, name: TileVersionName, encoded: &[u8], since: u64) -> Result<u32, Error> {
         let (path, bytes) = (name.path(&self.dir), encoded.len() as u64);
         let replaced = self.index().name(name.id);
         let evicted = self.make_room(Some((name.id, bytes)), since)?;
@@ -235,7 +235,7 @@ impl Inner {
         }
     }
 
-    fn index(&self) -> MutexGuard<'_, Index> {
+    fn index(&self) -> MutexGuard<'_, CacheIndex> {
         // It stays right even if a holder panicked.
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }

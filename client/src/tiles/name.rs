@@ -8,12 +8,12 @@ const ENDING: &str = "tile";
 
 /// A version of a tile, which names its file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Name {
+pub(super) struct TileVersionName {
     pub(super) id: TileId,
     pub(super) version: u64,
 }
 
-impl Name {
+impl TileVersionName {
     /// Its file in a cache's folder.
     pub(super) fn path(self, dir: &Path) -> PathBuf {
         let Self { id: TileId { zone, x, y }, version } = self;

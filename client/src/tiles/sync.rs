@@ -13,7 +13,7 @@ use tonic::Streaming;
 use tonic::transport::{Channel, Endpoint};
 
 use super::assembly::{self, Assembly, Whole};
-use super::{Error, Inner, TileCache, Want};
+use super::{CacheInner, Error, TileCache, Want};
 use crate::refusal::CallError;
 
 /// The next message of an answer is waited for this long.
@@ -24,9 +24,9 @@ const PATIENCE: Duration = Duration::from_secs(30);
 pub struct Synced {
     /// Epoch of the map: no tile wanted is older. 0 when none was wanted.
     pub epoch: u64,
-    /// Tiles that came.
+    /// Tiles that were downloaded.
     pub fetched: u32,
-    /// Their bytes.
+    /// Bytes of the tiles that were downloaded.
     pub bytes: u64,
     /// Tiles that were up to date.
     pub unchanged: u32,
@@ -39,7 +39,7 @@ pub struct Synced {
 impl TileCache {
     /// Asks the service for what changed of the tiles wanted, and takes it.
     ///
-    /// One attempt: after a transient [`CallError`] ask again; what came is kept. Syncs of one cache wait for each
+    /// One attempt: after a transient [`CallError`] ask again; what came stays. Syncs of one cache wait for each
     /// other. Dropping the future ends the sync; the cache stays sound.
     ///
     /// Must be called within a tokio runtime.
@@ -91,14 +91,14 @@ impl TileCache {
             if let Some(whole) = whole {
                 done.fetched += 1;
                 done.bytes += whole.encoded.len() as u64;
-                done.evicted += self.on_disk(move |cache| cache.keep(&whole, since)).await?;
+                done.evicted += self.on_disk(move |cache| cache.store(&whole, since)).await?;
             }
         }
     }
 
     async fn on_disk<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Inner) -> Result<T, Error> + Send + 'static,
+        work: impl FnOnce(&CacheInner) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
         let inner = Arc::clone(&self.inner);
         let done = tokio::task::spawn_blocking(move || work(&inner)).await;
@@ -115,9 +115,9 @@ async fn next(answer: &mut Streaming<GetTilesResponse>) -> Result<Part, Error> {
     part.ok_or(Error::Contract("a message holds nothing that this version knows"))
 }
 
-impl Inner {
-    /// Keeps a tile if it can be read.
-    fn keep(&self, Whole { name, encoded }: &Whole, since: u64) -> Result<u32, Error> {
+impl CacheInner {
+    /// Stores a tile if it can be read.
+    fn store(&self, Whole { name, encoded }: &Whole, since: u64) -> Result<u32, Error> {
         tile::decode(encoded).map_err(|source| Error::Unreadable { id: name.id, source })?;
         self.put(*name, encoded, since)
     }

@@ -27,7 +27,7 @@ fn open(dir: &TempDir) -> TileCache {
 }
 
 fn open_with(dir: &TempDir, max_bytes: u64) -> TileCache {
-    TileCache::open(dir.path(), Limits { max_bytes }).unwrap()
+    TileCache::open(dir.path(), TileCacheLimits { max_bytes }).unwrap()
 }
 
 fn put(cache: &TileCache, x: i32, version: u64) {
@@ -36,7 +36,7 @@ fn put(cache: &TileCache, x: i32, version: u64) {
 }
 
 fn put_since(cache: &TileCache, x: i32, version: u64, since: u64) -> Result<u32, Error> {
-    cache.inner.put(Name { id: id(x), version }, &encoded(version as u32), since)
+    cache.inner.put(TileVersionName { id: id(x), version }, &encoded(version as u32), since)
 }
 
 fn hits(cache: &TileCache, x: i32) -> Option<(u64, u32)> {
@@ -56,7 +56,7 @@ fn files_of(dir: &TempDir) -> usize {
 fn tiles_outlive_a_restart_and_newer_versions_replace_older_ones() {
     let dir = tempfile::tempdir().unwrap();
     let cache = open(&dir);
-    assert!(matches!(TileCache::open(dir.path(), Limits::default()), Err(Error::InUse { .. })));
+    assert!(matches!(TileCache::open(dir.path(), TileCacheLimits::default()), Err(Error::InUse { .. })));
     put(&cache, 1, 4);
     put(&cache, -2, 5);
     put(&cache, 1, 9);
@@ -80,12 +80,12 @@ fn what_a_crash_leaves_is_removed() {
     let dir = tempfile::tempdir().unwrap();
     let cache = open(&dir);
     put(&cache, 1, 4);
-    let older = fs::read(Name { id: id(1), version: 4 }.path(dir.path())).unwrap();
+    let older = fs::read(TileVersionName { id: id(1), version: 4 }.path(dir.path())).unwrap();
     put(&cache, 1, 5);
     drop(cache);
     let zone = dir.path().join("32614");
     fs::write(zone.join("12001_65000_6.part"), &older[..9]).unwrap();
-    fs::write(Name { id: id(1), version: 4 }.path(dir.path()), &older).unwrap();
+    fs::write(TileVersionName { id: id(1), version: 4 }.path(dir.path()), &older).unwrap();
     fs::write(zone.join("notes.txt"), "not ours").unwrap();
     let cache = open(&dir);
     // Either version is sound, and corrected by the next sync; but only one is there.
@@ -103,7 +103,7 @@ proptest! {
         let cache = open(&dir);
         put(&cache, 1, 4);
         put(&cache, 2, 4);
-        let path = Name { id: id(1), version: 4 }.path(dir.path());
+        let path = TileVersionName { id: id(1), version: 4 }.path(dir.path());
         let mut bytes = fs::read(&path).unwrap();
         let at = at.index(bytes.len());
         bytes[at] ^= 1_u8 << bit;
@@ -158,7 +158,7 @@ proptest! {
     }
 }
 
-/// Breaks when a sync throws out what it has just fetched, or a lowered limit is not kept to.
+/// Breaks when a sync throws out what it has just fetched, or a lowered limit is not respected.
 #[test]
 fn what_does_not_fit_is_told_and_lower_limits_hold() {
     let dir = tempfile::tempdir().unwrap();

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use echofix_core::geo::{self, Grid, LatLon, TILE_M, TileId, zones_near};
+use echofix_core::geo::{self, Grid, LatLon, MetresPerDegree, TILE_M, TileId, ground_distance_m, zones_near};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::{self, GeodeticBox, GetTilesRequest, TileList, TileVersion};
 
@@ -13,7 +13,6 @@ const MAX_IDS: usize = 1_024;
 const MAX_HAVE: usize = 16_384;
 /// Tiles this much beyond an area may still touch it, degrees of latitude.
 const BESIDE_DEG: f64 = 0.001;
-const METRES_PER_DEGREE: f64 = 111_195.0;
 
 /// Which tiles are wanted.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,11 +44,14 @@ impl Want {
             let (from, to) = (leg[0], leg[1]);
             let north_deg = to.lat_deg - from.lat_deg;
             let east_deg = (to.lon_deg - from.lon_deg + 540.0).rem_euclid(360.0) - 180.0;
-            let metres = METRES_PER_DEGREE * north_deg.hypot(east_deg * from.lat_deg.to_radians().cos());
-            let steps = (metres / (TILE_M / 2.0)).ceil().max(1.0);
+            let length_m = ground_distance_m(from, to, MetresPerDegree::WGS84);
+            let steps = (length_m / (TILE_M / 2.0)).ceil().max(1.0);
             for step in 1..=steps as u32 {
-                let share = f64::from(step) / steps;
-                take(LatLon::wrapped(from.lat_deg + north_deg * share, from.lon_deg + east_deg * share))?;
+                let fraction = f64::from(step) / steps;
+                take(LatLon::wrapped(
+                    from.lat_deg + north_deg * fraction,
+                    from.lon_deg + east_deg * fraction,
+                ))?;
             }
         }
         Ok(Self::Tiles(tiles))
@@ -131,9 +133,10 @@ mod tests {
         let there = LatLon { lat_deg: 30.02, lon_deg: -96.98 };
         let Want::Tiles(tiles) = Want::along(&[HERE, there], 60.0).unwrap() else { panic!("tiles") };
         for step in 0..=1000 {
-            let share = f64::from(step) / 1000.0;
+            let fraction = f64::from(step) / 1000.0;
             for beside in [-5e-4, 0.0, 5e-4] {
-                let at = LatLon { lat_deg: 30.0 + 0.02 * share + beside, lon_deg: -97.0 + 0.02 * share };
+                let at =
+                    LatLon { lat_deg: 30.0 + 0.02 * fraction + beside, lon_deg: -97.0 + 0.02 * fraction };
                 assert!(tiles.contains(&tile_at(at)), "{at:?}");
             }
         }

@@ -1,7 +1,7 @@
-//! One upload: a stretch of a drive under one id.
+//! One upload: a part of a drive under one id.
 
 use echofix_core::drive::GeoPose;
-use echofix_core::evidence::{Contribution, codec};
+use echofix_core::evidence::{EvidenceDelta, codec};
 use echofix_core::scan::{Mount, Scan};
 use echofix_core::tile::DecodeError;
 use echofix_proto::v1;
@@ -9,7 +9,7 @@ use echofix_proto::v1::upload_request::Part;
 use prost::Message;
 use uuid::Uuid;
 
-use crate::wire::{self, Columns};
+use crate::wire;
 
 /// Detections in a chunk, at most: some 20 kB. A chunk must cross within the time the service waits for
 /// a silent caller, on slow networks, too.
@@ -20,16 +20,16 @@ const CHUNK_BYTES: usize = 16 << 10;
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("not an upload: {0}")]
-pub struct Damaged(pub(super) &'static str);
+pub struct DamagedUpload(pub(super) &'static str);
 
-/// A stretch of a drive, ready to be sent; it keeps its id for ever.
+/// A part of a drive, ready to be sent; its id never changes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Upload {
+pub struct PreparedUpload {
     id: Uuid,
     parts: Vec<v1::UploadRequest>,
 }
 
-impl Upload {
+impl PreparedUpload {
     /// An upload under a fresh id, without chunks yet.
     pub(crate) fn start(contributor: &str, mounts: &[Mount], reference_time_us: i64) -> Self {
         // Version 7 ids sort by time: the spool's order is the order of the drive.
@@ -45,7 +45,7 @@ impl Upload {
 
     /// Adds scans and the poses they were taken from, both oldest first and the scans within the
     /// poses' time, as one chunk or several.
-    pub(crate) fn add(&mut self, poses: &[GeoPose], scans: &[Scan], columns: Columns) {
+    pub(crate) fn add(&mut self, poses: &[GeoPose], scans: &[Scan]) {
         let reference_time_us = self.header().map_or(0, |h| h.reference_time_us);
         let mut pieces = scans.iter().flat_map(pieces).peekable();
         while pieces.peek().is_some() {
@@ -61,16 +61,16 @@ impl Upload {
             let poses = covering(poses, first.time_us, last.time_us);
             let chunk = v1::UploadChunk {
                 poses: Some(wire::poses(poses, reference_time_us)),
-                scans: Some(wire::scans(&chunk, reference_time_us, columns)),
+                scans: Some(wire::scans(&chunk, reference_time_us)),
             };
             self.parts.push(v1::UploadRequest { part: Some(Part::Chunk(chunk)) });
         }
     }
 
-    /// Adds what the vehicle gathered itself; `sigmas` are the largest of the poses it was mapped from (metres,
-    /// radians).
-    pub(crate) fn add_evidence(&mut self, contribution: &Contribution, sigmas: [f64; 2]) {
-        let bytes = codec::encode(contribution);
+    /// Adds the evidence that the vehicle has built; `sigmas` are the largest of the poses it was mapped from
+    /// (metres, radians).
+    pub(crate) fn add_evidence(&mut self, delta: &EvidenceDelta, sigmas: [f64; 2]) {
+        let bytes = codec::encode(delta);
         let [sigma_position_m, sigma_yaw_rad] = sigmas.map(|sigma| sigma as f32);
         for piece in bytes.chunks(CHUNK_BYTES) {
             let chunk = v1::EvidenceChunk { contribution: piece.to_vec(), sigma_position_m, sigma_yaw_rad };
@@ -96,7 +96,7 @@ impl Upload {
         self.parts
     }
 
-    /// What all chunks share.
+    /// What all chunks have in common.
     #[must_use]
     pub fn header(&self) -> Option<&v1::UploadHeader> {
         match self.parts.first()?.part.as_ref()? {
@@ -116,8 +116,8 @@ impl Upload {
     /// The evidence, of one that has any.
     ///
     /// # Errors
-    /// When its bytes are not a contribution.
-    pub fn evidence(&self) -> Result<Contribution, DecodeError> {
+    /// When its bytes are not an evidence delta's.
+    pub fn evidence(&self) -> Result<EvidenceDelta, DecodeError> {
         codec::decode(&self.evidence_bytes(), usize::MAX)
     }
 
@@ -134,7 +134,7 @@ impl Upload {
     pub fn detections(&self) -> usize {
         let scans: usize =
             self.chunks().filter_map(|chunk| chunk.scans.as_ref()).map(|scans| scans.range_m.len()).sum();
-        let evidence = codec::decode_head(&self.evidence_bytes()).map_or(0, |head| head.detections);
+        let evidence = codec::decode_header(&self.evidence_bytes()).map_or(0, |head| head.detections);
         scans + evidence as usize
     }
 
@@ -149,20 +149,20 @@ impl Upload {
         self.parts.iter().flat_map(Message::encode_length_delimited_to_vec).collect()
     }
 
-    pub(super) fn decode(mut bytes: &[u8]) -> Result<Self, Damaged> {
+    pub(super) fn decode(mut bytes: &[u8]) -> Result<Self, DamagedUpload> {
         let mut parts = Vec::new();
         while !bytes.is_empty() {
             let part = v1::UploadRequest::decode_length_delimited(&mut bytes);
-            parts.push(part.map_err(|_| Damaged("a message does not decode"))?);
+            parts.push(part.map_err(|_| DamagedUpload("a message does not decode"))?);
         }
         let upload = Self { id: Uuid::nil(), parts };
-        let header = upload.header().ok_or(Damaged("it does not begin with a header"))?;
-        let id = Uuid::parse_str(&header.upload_id).map_err(|_| Damaged("its id is not a UUID"))?;
+        let header = upload.header().ok_or(DamagedUpload("it does not begin with a header"))?;
+        let id = Uuid::parse_str(&header.upload_id).map_err(|_| DamagedUpload("its id is not a UUID"))?;
         Ok(Self { id, ..upload })
     }
 }
 
-/// A scan, cut where it would not fit a chunk.
+/// The geometry of a scan, split where it would not fit a chunk.
 fn pieces(scan: &Scan) -> impl Iterator<Item = Scan> + '_ {
     let cut = |column: &[f32], at: usize| -> Vec<f32> {
         column.chunks(CHUNK_DETECTIONS).nth(at).unwrap_or_default().to_vec()
@@ -172,8 +172,7 @@ fn pieces(scan: &Scan) -> impl Iterator<Item = Scan> + '_ {
         time_us: scan.time_us,
         range_m: cut(&scan.range_m, at),
         azimuth_rad: cut(&scan.azimuth_rad, at),
-        radial_speed_mps: cut(&scan.radial_speed_mps, at),
-        rcs_dbsm: cut(&scan.rcs_dbsm, at),
+        ..Scan::default()
     })
 }
 
@@ -189,7 +188,7 @@ fn covering(poses: &[GeoPose], from_us: i64, to_us: i64) -> &[GeoPose] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::T0;
+    use crate::testing::{T0, decode};
 
     fn poses() -> Vec<GeoPose> {
         (0..101).map(|i| GeoPose { time_us: T0 + i * 100_000, ..GeoPose::default() }).collect()
@@ -200,9 +199,9 @@ mod tests {
         Scan { time_us, range_m: vec![5.0; detections], azimuth_rad, ..Scan::default() }
     }
 
-    fn upload(scans: &[Scan]) -> Upload {
-        let mut upload = Upload::start("car", &[Mount::IDENTITY], T0);
-        upload.add(&poses(), scans, Columns::Geometry);
+    fn upload(scans: &[Scan]) -> PreparedUpload {
+        let mut upload = PreparedUpload::start("car", &[Mount::IDENTITY], T0);
+        upload.add(&poses(), scans);
         upload
     }
 
@@ -215,8 +214,8 @@ mod tests {
         let mut again = Vec::new();
         for chunk in upload.chunks() {
             assert!(chunk.encoded_len() < 64 << 10);
-            let poses = wire::poses_from(chunk.poses.as_ref().unwrap(), T0).unwrap();
-            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), T0).unwrap();
+            let poses = decode::poses(chunk.poses.as_ref().unwrap(), T0);
+            let scans = decode::scans(chunk.scans.as_ref().unwrap(), T0);
             assert!(poses[0].time_us <= scans[0].time_us);
             assert!(poses.last().unwrap().time_us >= scans.last().unwrap().time_us);
             assert!(poses.len() <= scans.len() + 1, "poses that no scan needs");
@@ -248,8 +247,8 @@ mod tests {
     fn bytes_come_back_as_the_same_upload() {
         let upload = upload(&[scan(T0 + 10, 20)]);
         let bytes = upload.encode();
-        assert_eq!(Upload::decode(&bytes), Ok(upload));
-        assert!(Upload::decode(&bytes[..bytes.len() - 1]).is_err());
-        assert!(Upload::decode(&[]).is_err());
+        assert_eq!(PreparedUpload::decode(&bytes), Ok(upload));
+        assert!(PreparedUpload::decode(&bytes[..bytes.len() - 1]).is_err());
+        assert!(PreparedUpload::decode(&[]).is_err());
     }
 }

@@ -1,24 +1,24 @@
 //! Contributing to the map: record, spool, send.
 //!
-//! 1. [`Recorder`] takes scans and reference poses as they come, keeps what maps (poses known well
-//!    enough, scans fast and near enough, no movers), and cuts the drive into [`Upload`]s: of the
-//!    evidence gathered on the way, or of the scans themselves ([`Form`]).
+//! 1. [`Recorder`] takes scans and reference poses as they come, retains what can be mapped (poses known well
+//!    enough, scans fast and near enough, no movers), and splits the drive into [`PreparedUpload`]s: of the
+//!    evidence built on the way, or of the scans themselves ([`UploadForm`]).
 //! 2. [`Uploader::submit`] puts an upload on disk; once it returns, the upload survives crashes
 //!    and power cuts of the vehicle.
 //! 3. In the background the uploads are sent, oldest first, each until the service has
 //!    acknowledged it; an id counts once however often it is sent. What the service refuses for
-//!    good is kept in the spool's `refused` folder with the reason.
+//!    good stays in the spool's `refused` folder with the reason.
 
 mod config;
 mod contents;
 mod recorder;
+mod segment;
 mod sender;
 pub mod spool;
-mod stretch;
 mod uploader;
 
-pub use config::{Config, Form};
-pub use contents::{Damaged, Upload};
+pub use config::{RecorderConfig, UploadForm};
+pub use contents::{DamagedUpload, PreparedUpload};
 pub use recorder::{Error, Recorder};
 pub use spool::Spool;
-pub use uploader::{FlushError, Options, Progress, Uploader};
+pub use uploader::{FlushError, UploadProgress, Uploader, UploaderOptions};

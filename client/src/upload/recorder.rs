@@ -1,17 +1,18 @@
-//! Cuts a drive into uploads.
+//! Splits a drive into uploads.
 
-use echofix_core::batch::Dropped;
-use echofix_core::contribution::{Chunk, Contributed, Submission, contribute};
 use echofix_core::drive::GeoPose;
-use echofix_core::geo::{self, Zone};
+use echofix_core::drive::segment::usable_segments;
+use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
+use echofix_core::gate::Dropped;
+use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 
-use super::{Config, Form, Upload, stretch};
+use super::{PreparedUpload, RecorderConfig, UploadForm, segment};
 
 const DAY_US: i64 = 86_400_000_000;
-/// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
+/// A vehicle that stays near one position this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 
 /// Why a measurement is not recorded.
@@ -34,12 +35,12 @@ pub enum Error {
         /// Sensors there are.
         mounts: usize,
     },
-    /// A measurement that comes after its time was cut.
+    /// A measurement that comes after the upload of its time has ended.
     #[error("the measurement at {time_us} us came after the drive was cut at {cut_us} us")]
     TooLate {
         /// The measurement's time.
         time_us: i64,
-        /// Up to where the drive is cut.
+        /// When the last upload ended.
         cut_us: i64,
     },
     /// A pose that is not finite, or whose errors are negative.
@@ -56,12 +57,12 @@ pub enum Error {
 /// Turns one trip into uploads; no clock, no files.
 #[derive(Debug, Clone)]
 pub struct Recorder {
-    config: Config,
+    config: RecorderConfig,
     contributor: String,
     mounts: Vec<Mount>,
-    /// Poses since the last cut (the first is the cut), and the metres travelled until each.
+    /// Poses since the last upload ended (the first with that end), and the metres travelled until each.
     poses: Vec<(GeoPose, f64)>,
-    /// Scans since the last cut, oldest first.
+    /// Scans since the last upload ended, oldest first.
     scans: Vec<Scan>,
     odometry: Trajectory,
     /// Where the trip began, until it is left behind.
@@ -74,7 +75,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the pseudonym has not 1 to 64 characters.
-    pub fn new(config: Config, contributor: &str, mounts: Vec<Mount>) -> Result<Self, Error> {
+    pub fn new(config: RecorderConfig, contributor: &str, mounts: Vec<Mount>) -> Result<Self, Error> {
         if !(1..=64).contains(&contributor.chars().count()) {
             return Err(Error::Contributor(contributor.to_owned()));
         }
@@ -94,8 +95,10 @@ impl Recorder {
     ///
     /// # Errors
     /// When the scan is malformed, of an unknown radar or too late.
-    pub fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
+    pub fn push_scan(&mut self, mut scan: Scan) -> Result<(), Error> {
         scan.validate()?;
+        // Not sent: do not hold it.
+        scan.rcs_dbsm = Vec::new();
         let (sensor, time_us) = (scan.sensor, scan.time_us);
         if sensor >= self.mounts.len() {
             return Err(Error::UnknownSensor { sensor, mounts: self.mounts.len() });
@@ -112,7 +115,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Takes an odometry pose. Optional: where odometry covers a scan, the velocity that tells
+    /// Takes an odometry pose. Optional: where odometry covers a scan, the velocity that distinguishes
     /// movers from structure is taken from it, for absolute poses jitter.
     ///
     /// # Errors
@@ -125,7 +128,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the pose is not newer than the last one, not a pose or not on the map.
-    pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<Upload>, Error> {
+    pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<PreparedUpload>, Error> {
         check(&pose)?;
         self.append(pose)?;
         if let Some(start) = self.start {
@@ -151,7 +154,7 @@ impl Recorder {
 
     /// Ends the trip; returns what is left of it.
     #[must_use]
-    pub fn finish(mut self) -> Option<Upload> {
+    pub fn finish(mut self) -> Option<PreparedUpload> {
         if self.poses.is_empty() || self.start.is_some_and(|_| self.config.trim_ends_m > 0.0) {
             return None;
         }
@@ -188,47 +191,49 @@ impl Recorder {
     }
 
     /// Makes an upload of everything up to a pose, with which the next one begins.
-    fn cut_at(&mut self, cut: usize) -> Option<Upload> {
+    fn cut_at(&mut self, cut: usize) -> Option<PreparedUpload> {
         let poses: Vec<GeoPose> = self.poses[..=cut].iter().map(|(pose, _)| *pose).collect();
         let (first_us, last_us) = (poses.first()?.time_us, poses.last()?.time_us);
-        let mut submission = Submission { mounts: self.mounts.clone(), chunks: Vec::new() };
-        for stretch in stretch::good(&poses, &self.config) {
-            let scans = take_within(&mut self.scans, stretch);
+        let mut raw = RawUpload { mounts: self.mounts.clone(), chunks: Vec::new() };
+        for segment in usable_segments(&poses, &self.config.segments()) {
+            let scans = take_within(&mut self.scans, segment);
             let (mounts, config) = (&self.mounts, &self.config);
-            let scans = stretch::gated(stretch, &scans, mounts, &self.odometry, config, &mut self.dropped);
-            submission.chunks.push(Chunk { poses: stretch.to_vec(), scans });
+            let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, &mut self.dropped);
+            raw.chunks.push(Chunk { poses: segment.to_vec(), scans });
         }
-        let upload = self.upload_of(submission, first_us);
+        let upload = self.upload_of(raw, first_us);
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
         upload
     }
 
     /// The upload in the form that is sent; `None` when nothing is left to map.
-    fn upload_of(&mut self, submission: Submission, first_us: i64) -> Option<Upload> {
+    fn upload_of(&mut self, raw: RawUpload, first_us: i64) -> Option<PreparedUpload> {
         let mut upload = match self.config.form {
-            Form::Scans => Upload::start(&self.contributor, &self.mounts, first_us),
-            // Evidence tells the day only.
-            Form::Evidence => Upload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US)),
+            UploadForm::Scans => PreparedUpload::start(&self.contributor, &self.mounts, first_us),
+            // Evidence shows the day only.
+            UploadForm::Evidence => {
+                PreparedUpload::start(&self.contributor, &[], first_us - first_us.rem_euclid(DAY_US))
+            }
         };
-        if self.config.form == Form::Scans {
-            for Chunk { poses, scans } in &submission.chunks {
-                upload.add(poses, scans, self.config.columns);
+        if self.config.form == UploadForm::Scans {
+            for Chunk { poses, scans } in &raw.chunks {
+                upload.add(poses, scans);
             }
             return (upload.detections() > 0).then_some(upload);
         }
-        let poses = submission.chunks.iter().flat_map(|chunk| &chunk.poses);
+        let poses = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
         let sigmas = poses
             .fold([0.0_f64; 2], |[p, y], pose| [p.max(pose.sigma_position_m), y.max(pose.sigma_yaw_rad)]);
-        match contribute(submission, &self.config.limits()) {
-            Ok(Contributed { contribution, dropped }) => {
+        match build_evidence(raw, &self.config.evidence()) {
+            Ok(BuiltEvidence { delta, dropped }) => {
                 self.dropped.add(&dropped);
-                upload.add_evidence(&contribution, sigmas);
+                upload.add_evidence(&delta, sigmas);
                 Some(upload)
             }
-            // Poses were checked as they came: what is refused here has nothing to map.
-            Err(refusal) => {
-                tracing::debug!(%refusal, "a stretch of the drive maps nothing");
+            // Poses were checked as they came: what fails here has nothing to map.
+            Err(reason) => {
+                tracing::debug!(%reason, "a part of the drive maps nothing");
                 None
             }
         }
@@ -242,7 +247,7 @@ impl Recorder {
         self.odometry.trim_before(time_us);
     }
 
-    /// Without reference poses nothing is cut: scans must not pile up.
+    /// Without reference poses no upload ends: scans must not pile up.
     fn forget_scans_without_poses(&mut self) {
         let Some(newest_us) = self.scans.last().map(|s| s.time_us) else { return };
         let patience_us = ((self.config.cut_after_s + self.config.lateness_s) * 1e6) as i64;
@@ -261,9 +266,9 @@ fn count_lost(dropped: &mut Dropped, scan: &Scan) -> bool {
     false
 }
 
-/// Takes the scans within a stretch's time out of the others.
-fn take_within(scans: &mut Vec<Scan>, stretch: &[GeoPose]) -> Vec<Scan> {
-    let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { return Vec::new() };
+/// Takes the scans within a segment's time out of the others.
+fn take_within(scans: &mut Vec<Scan>, segment: &[GeoPose]) -> Vec<Scan> {
+    let (Some(first), Some(last)) = (segment.first(), segment.last()) else { return Vec::new() };
     let from = scans.partition_point(|s| s.time_us < first.time_us);
     let to = scans.partition_point(|s| s.time_us <= last.time_us);
     scans.drain(from..to.max(from)).collect()
@@ -271,10 +276,7 @@ fn take_within(scans: &mut Vec<Scan>, stretch: &[GeoPose]) -> Vec<Scan> {
 
 /// Metres between two poses that are near each other.
 fn ground_m(a: &GeoPose, b: &GeoPose) -> f64 {
-    const METRES_PER_DEGREE: f64 = 111_195.0;
-    let north = (b.at.lat_deg - a.at.lat_deg) * METRES_PER_DEGREE;
-    let turns = (b.at.lon_deg - a.at.lon_deg + 540.0).rem_euclid(360.0) - 180.0;
-    north.hypot(turns * METRES_PER_DEGREE * a.at.lat_deg.to_radians().cos())
+    ground_distance_m(a.at, b.at, MetresPerDegree::SPHERE)
 }
 
 fn check(pose: &GeoPose) -> Result<(), Error> {

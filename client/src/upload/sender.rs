@@ -14,7 +14,7 @@ use tonic::transport::{Channel, Endpoint};
 use uuid::Uuid;
 
 use super::spool::{self, Spool};
-use super::{Options, Progress, Upload};
+use super::{PreparedUpload, UploadProgress, UploaderOptions};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
 
@@ -27,14 +27,14 @@ enum Trouble {
 pub(super) struct Sender {
     pub spool: Arc<Spool>,
     pub endpoint: Endpoint,
-    pub options: Options,
-    pub progress: watch::Sender<Progress>,
+    pub options: UploaderOptions,
+    pub progress: watch::Sender<UploadProgress>,
     /// Turns true when the uploader closes.
     pub stop: watch::Receiver<bool>,
 }
 
 impl Sender {
-    /// Sends until told to stop, oldest first.
+    /// Sends until it has to stop, oldest first.
     pub(super) async fn run(mut self) {
         let mut client = self.connect();
         let mut backoff = Backoff::new(self.options.backoff);
@@ -67,7 +67,7 @@ impl Sender {
         }
     }
 
-    /// The next upload to send, once there is one; `None` when told to stop.
+    /// The next upload to send, once there is one; `None` when it has to stop.
     async fn next(&mut self, passed_over: &mut HashSet<Uuid>) -> Option<Uuid> {
         let mut changes = self.progress.subscribe();
         loop {
@@ -118,7 +118,7 @@ impl Sender {
         MappingServiceClient::new(self.endpoint.connect_lazy())
     }
 
-    fn advance(&self, change: impl FnOnce(&mut Progress)) {
+    fn advance(&self, change: impl FnOnce(&mut UploadProgress)) {
         self.progress.send_modify(|progress| {
             change(progress);
             progress.observe(&self.spool);
@@ -132,7 +132,7 @@ impl Sender {
         on_disk(&self.spool, work).await
     }
 
-    /// What the future gives, or `None` once told to stop.
+    /// What the future gives, or `None` once it has to stop.
     async fn unless_stopped<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
@@ -154,7 +154,7 @@ pub(super) async fn on_disk<T: Send + 'static>(
 
 async fn send(
     client: &mut MappingServiceClient<Channel>,
-    upload: Upload,
+    upload: PreparedUpload,
     patience: Duration,
 ) -> Result<v1::UploadResponse, CallError> {
     let id = upload.id().to_string();

@@ -7,16 +7,16 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tonic::transport::Endpoint;
 
-use super::Upload;
+use super::PreparedUpload;
 use super::sender::{Sender, on_disk};
 use super::spool::{self, Spool};
-use crate::backoff::Policy;
+use crate::backoff::BackoffPolicy;
 
 /// How patiently uploads are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
+pub struct UploaderOptions {
     /// Waits between attempts.
-    pub backoff: Policy,
+    pub backoff: BackoffPolicy,
     /// An acknowledgement is waited for at least this long.
     pub patience: Duration,
     /// The slowest connection that is still of use, bytes per second: a large upload is waited for
@@ -24,14 +24,18 @@ pub struct Options {
     pub slowest_bytes_per_s: u32,
 }
 
-impl Default for Options {
+impl Default for UploaderOptions {
     /// Half a minute, and longer where the network gives less than 500 bytes a second.
     fn default() -> Self {
-        Self { backoff: Policy::default(), patience: Duration::from_secs(30), slowest_bytes_per_s: 500 }
+        Self {
+            backoff: BackoffPolicy::default(),
+            patience: Duration::from_secs(30),
+            slowest_bytes_per_s: 500,
+        }
     }
 }
 
-impl Options {
+impl UploaderOptions {
     pub(super) fn patience(&self, bytes: usize) -> Duration {
         self.patience + Duration::from_secs(bytes as u64 / u64::from(self.slowest_bytes_per_s.max(1)))
     }
@@ -39,7 +43,7 @@ impl Options {
 
 /// How far the uploads are.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Progress {
+pub struct UploadProgress {
     /// Uploads in the spool.
     pub waiting: usize,
     /// Bytes of them.
@@ -56,7 +60,7 @@ pub struct Progress {
     pub last_error: Option<String>,
 }
 
-impl Progress {
+impl UploadProgress {
     pub(super) fn observe(&mut self, spool: &Spool) {
         (self.waiting, self.waiting_bytes) = (spool.len(), spool.bytes());
     }
@@ -81,7 +85,7 @@ pub struct FlushError {
 #[derive(Debug)]
 pub struct Uploader {
     spool: Arc<Spool>,
-    progress: watch::Sender<Progress>,
+    progress: watch::Sender<UploadProgress>,
     stop: watch::Sender<bool>,
     task: Option<JoinHandle<()>>,
 }
@@ -91,10 +95,10 @@ impl Uploader {
     ///
     /// Must be called within a tokio runtime.
     #[must_use]
-    pub fn start(endpoint: Endpoint, spool: Spool, options: Options) -> Self {
+    pub fn start(endpoint: Endpoint, spool: Spool, options: UploaderOptions) -> Self {
         let spool = Arc::new(spool);
         let (stop, stopped) = watch::channel(false);
-        let mut seen = Progress::default();
+        let mut seen = UploadProgress::default();
         seen.observe(&spool);
         let progress = watch::Sender::new(seen);
         let sender = Sender {
@@ -115,7 +119,7 @@ impl Uploader {
     ///
     /// # Errors
     /// When the spool is full or the file system refuses; the upload is not taken then.
-    pub async fn submit(&self, upload: Upload) -> Result<(), spool::Error> {
+    pub async fn submit(&self, upload: PreparedUpload) -> Result<(), spool::Error> {
         let progress = self.progress.clone();
         on_disk(&self.spool, move |spool| {
             spool.push(&upload)?;
@@ -135,13 +139,13 @@ impl Uploader {
         if matches!(empty, Ok(Ok(_))) {
             return Ok(());
         }
-        let Progress { waiting, last_error, .. } = self.progress();
+        let UploadProgress { waiting, last_error, .. } = self.progress();
         Err(FlushError { waiting, last_error })
     }
 
     /// How far the uploads are.
     #[must_use]
-    pub fn progress(&self) -> Progress {
+    pub fn progress(&self) -> UploadProgress {
         self.progress.borrow().clone()
     }
 

@@ -4,7 +4,7 @@ use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Grid, LatLon};
 use echofix_core::pose::Pose2;
 
-use super::Drift;
+use super::DriftModel;
 
 /// Since when something is known, and how well it was then.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,7 +40,7 @@ impl Anchor {
         &self,
         time_us: i64,
         (odometry, travelled_m): (Pose2, f64),
-        drift: &Drift,
+        drift: &DriftModel,
     ) -> Result<GeoPose, geo::Error> {
         let moved = self.odometry.between(&odometry);
         let (at, yaw_rad) = displaced(self.pose.at, self.pose.yaw_rad, &moved)?;
@@ -58,7 +58,7 @@ impl Anchor {
         &self,
         other: GeoPose,
         odometry: (Pose2, f64),
-        drift: &Drift,
+        drift: &DriftModel,
     ) -> Result<Self, geo::Error> {
         let mut best = self.carried(other.time_us, odometry, drift)?;
         let nearer = other.sigma_position_m < best.sigma_position_m;
@@ -102,7 +102,7 @@ mod tests {
         let start = Pose2::new(5.0, 5.0, 0.3);
         let anchor = Anchor::new(pose, (start, 10.0));
         let now = start.compose(&Pose2::new(1000.0, 0.0, 0.0));
-        let carried = anchor.carried(1, (now, 1010.0), &Drift::default()).unwrap();
+        let carried = anchor.carried(1, (now, 1010.0), &DriftModel::default()).unwrap();
         let north_m = (carried.at.lat_deg - 60.0) * 111_412.0;
         let east_m = (carried.at.lon_deg - 11.5) * 55_800.0;
         assert!((north_m - 1000.0).abs() < 0.2 && east_m.abs() < 0.05, "{north_m} {east_m}");
@@ -117,14 +117,14 @@ mod tests {
     fn the_better_known_part_of_each_pose_is_kept() {
         let here = (Pose2::IDENTITY, 0.0);
         let anchor = Anchor::new(known(0, 0.1, 2.0, 0.01), here);
-        let best = anchor.improved(known(0, 0.2, 1.0, 0.05), here, &Drift::default()).unwrap();
+        let best = anchor.improved(known(0, 0.2, 1.0, 0.05), here, &DriftModel::default()).unwrap();
         assert_eq!((best.pose.sigma_position_m, best.pose.sigma_yaw_rad), (1.0, 0.01));
         assert!((best.pose.yaw_rad - 0.1).abs() < 1e-9);
     }
 
     #[test]
     fn poor_poses_do_not_stop_the_drift() {
-        let drift = Drift::default();
+        let drift = DriftModel::default();
         let anchor = Anchor::new(known(0, 0.0, 0.1, 0.001), (Pose2::IDENTITY, 0.0));
         let mut helped = anchor;
         for i in 1..=1000_i64 {

@@ -1,20 +1,20 @@
 //! What a vehicle needs, and how its odometry drifts.
 
 use echofix_core::doppler::dedrift::OdometryBias;
-use echofix_core::scan::Gate;
+use echofix_core::gate::Gate;
 
 /// How a [`Vehicle`](super::Vehicle) collects, asks and judges.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
+pub struct VehicleConfig {
     /// Length of the sliding window, seconds: what a batch spans (paper, Sec. "Test procedure").
     pub window_s: f64,
-    /// Which detections are kept.
+    /// Which detections pass.
     pub gate: Gate,
-    /// Scans between odometry poses farther apart than this are dropped, seconds: their place
+    /// Scans between odometry poses farther apart than this are dropped, seconds: their position
     /// would be a guess.
     pub max_odometry_gap_s: f64,
     /// How odometry drifts.
-    pub drift: Drift,
+    pub drift: DriftModel,
     /// How odometry may err within a batch, for the radars' radial speeds to correct it; `None` to
     /// leave it as it is. Radars that measure no radial speed correct nothing.
     pub odometry_bias: Option<OdometryBias>,
@@ -35,13 +35,13 @@ pub struct Config {
     pub max_fix_age_s: f64,
 }
 
-impl Default for Config {
+impl Default for VehicleConfig {
     fn default() -> Self {
         Self {
             window_s: 5.0,
             gate: Gate::default(),
             max_odometry_gap_s: 0.5,
-            drift: Drift::default(),
+            drift: DriftModel::default(),
             odometry_bias: Some(OdometryBias::default()),
             min_prior_sigma_position_m: 0.5,
             min_prior_sigma_yaw_rad: 1_f64.to_radians(),
@@ -65,14 +65,14 @@ pub struct AlertLimits {
 }
 
 impl Default for AlertLimits {
-    /// None.
+    /// No limits.
     fn default() -> Self {
         Self { along_m: f64::INFINITY, cross_m: f64::INFINITY, yaw_rad: f64::INFINITY }
     }
 }
 
 impl AlertLimits {
-    /// The horizontal limit the service is told, metres: it compares the joint level, which stays
+    /// The horizontal limit that is sent, metres: it compares the joint level, which stays
     /// within this whenever each level stays within its own limit, and the vehicle itself checks
     /// each; 0 without any.
     pub(super) fn on_the_wire_m(&self) -> f64 {
@@ -93,7 +93,7 @@ impl AlertLimits {
 /// The terms grow linearly, as a scale error and a gyro bias make them: pessimistic over a long way,
 /// which is the side to err on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Drift {
+pub struct DriftModel {
     /// Metres of error a metre travelled.
     pub position_per_m: f64,
     /// Radians of error a metre travelled.
@@ -102,14 +102,14 @@ pub struct Drift {
     pub yaw_rad_per_s: f64,
 }
 
-impl Default for Drift {
+impl Default for DriftModel {
     /// Wheel odometry with an automotive gyro: 2 %, 0.006 degrees a metre, 0.006 degrees a second.
     fn default() -> Self {
         Self { position_per_m: 0.02, yaw_rad_per_m: 1e-4, yaw_rad_per_s: 1e-4 }
     }
 }
 
-impl Drift {
+impl DriftModel {
     /// One-sigma error of the position after a way, metres, from the errors at its start.
     #[must_use]
     pub fn position_m(&self, position_m: f64, yaw_rad: f64, travelled_m: f64) -> f64 {
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn knowledge_fades_with_the_way_and_never_sharpens() {
-        let drift = Drift::default();
+        let drift = DriftModel::default();
         assert!((drift.position_m(0.3, 0.01, 0.0) - 0.3).abs() < 1e-12);
         assert!((drift.yaw_rad(0.01, 0.0, 0.0) - 0.01).abs() < 1e-12);
         // 2 m of scale error and 1 m of heading error over 100 m.

@@ -16,22 +16,22 @@ mod config;
 mod verdict;
 mod window;
 
-pub use config::{AlertLimits, Config, Drift};
+pub use config::{AlertLimits, DriftModel, VehicleConfig};
 pub use verdict::{Fix, Rejection};
 
-use echofix_core::batch::Dropped;
 use echofix_core::doppler::dedrift::dedrifted;
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::GeoPose;
+use echofix_core::gate::Dropped;
 use echofix_core::geo;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_proto::v1;
 
-use crate::wire::{self, Columns};
+use crate::wire;
 use anchor::Anchor;
-use window::Window;
+use window::ScanWindow;
 
 /// Why a measurement is not taken.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -92,14 +92,14 @@ pub enum NotReady {
     /// Nothing is known of where the vehicle is.
     #[error("there is no rough pose to search around; push one, from GNSS or the last trip")]
     NoPrior,
-    /// The prior cannot be placed on the map.
+    /// The prior is not on the map.
     #[error(transparent)]
     OffTheMap(#[from] geo::Error),
 }
 
 /// A request, and what ties its answer to the vehicle's odometry.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Question {
+pub struct LocalizationQuestion {
     /// What is sent.
     pub request: v1::LocalizeRequest,
     time_us: i64,
@@ -107,7 +107,7 @@ pub struct Question {
     odometry: (Pose2, f64),
 }
 
-impl Question {
+impl LocalizationQuestion {
     /// The time asked for, microseconds since the Unix epoch: the newest scan that odometry covers.
     #[must_use]
     pub fn time_us(&self) -> i64 {
@@ -117,8 +117,8 @@ impl Question {
 
 /// The pose believed, carried to the newest odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Position {
-    /// The pose, its sigmas grown by [`Drift`].
+pub struct VehiclePosition {
+    /// The pose, its sigmas grown by [`DriftModel`].
     pub pose: GeoPose,
     /// Seconds since the pose of the last fix; `None` before the first.
     pub fix_age_s: Option<f64>,
@@ -127,8 +127,8 @@ pub struct Position {
 /// One vehicle: its window, and where it believes to be.
 #[derive(Debug, Clone)]
 pub struct Vehicle {
-    config: Config,
-    window: Window,
+    config: VehicleConfig,
+    window: ScanWindow,
     anchor: Option<Anchor>,
     /// A pose from outside that odometry does not cover yet.
     ahead: Option<GeoPose>,
@@ -138,8 +138,8 @@ pub struct Vehicle {
 impl Vehicle {
     /// A vehicle with these radars.
     #[must_use]
-    pub fn new(config: Config, mounts: Vec<Mount>) -> Self {
-        Self { config, window: Window::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
+    pub fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
+        Self { config, window: ScanWindow::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
     }
 
     /// Takes a scan; scans of several radars may come slightly out of order, and may run ahead of
@@ -166,7 +166,7 @@ impl Vehicle {
     }
 
     /// Takes a rough pose from outside, usually GNSS. Of it and the pose believed, the better known
-    /// position and the better known heading are kept.
+    /// position and the better known heading stay.
     ///
     /// # Errors
     /// When the pose is not on the map or older than the window.
@@ -188,7 +188,7 @@ impl Vehicle {
     ///
     /// # Errors
     /// What is missing.
-    pub fn question(&self) -> Result<Question, NotReady> {
+    pub fn question(&self) -> Result<LocalizationQuestion, NotReady> {
         if self.window.odometry().is_empty() {
             return Err(NotReady::NoOdometry);
         }
@@ -219,14 +219,18 @@ impl Vehicle {
                 alert_limit_m: self.config.alert_limits.on_the_wire_m(),
             }),
         };
-        Ok(Question { request, time_us, odometry })
+        Ok(LocalizationQuestion { request, time_us, odometry })
     }
 
     /// Judges the answer to a question; one that may be used becomes the pose believed.
     ///
     /// # Errors
     /// Why the answer is not used; the pose believed stays as it was.
-    pub fn accept(&mut self, question: &Question, answer: &v1::LocalizeResponse) -> Result<Fix, Rejection> {
+    pub fn accept(
+        &mut self,
+        question: &LocalizationQuestion,
+        answer: &v1::LocalizeResponse,
+    ) -> Result<Fix, Rejection> {
         if self.last_fix_us.is_some_and(|fix_us| question.time_us <= fix_us) {
             return Err(Rejection::Superseded);
         }
@@ -240,11 +244,11 @@ impl Vehicle {
     /// Where the vehicle believes to be at the newest odometry pose; `None` without a pose to
     /// start from.
     #[must_use]
-    pub fn position(&self) -> Option<Position> {
+    pub fn position(&self) -> Option<VehiclePosition> {
         let (now_us, _) = self.window.odometry().last()?;
         let pose = self.anchor?.carried(now_us, self.window.at(now_us)?, &self.config.drift).ok()?;
         let fix_age_s = self.last_fix_us.map(|fix_us| (now_us - fix_us) as f64 * 1e-6);
-        Some(Position { pose, fix_age_s })
+        Some(VehiclePosition { pose, fix_age_s })
     }
 
     /// Detections dropped by the gates since the beginning, by the reason.
@@ -262,7 +266,7 @@ impl Vehicle {
         v1::Batch {
             reference_time_us: to_us,
             mounts: self.window.mounts().iter().map(wire::mount).collect(),
-            scans: Some(wire::scans(self.window.scans(), to_us, Columns::Geometry)),
+            scans: Some(wire::scans(self.window.scans(), to_us)),
             odometry: Some(wire::odometry(poses.iter(), to_us)),
         }
     }

@@ -12,7 +12,7 @@ fn gnss(time_us: i64, sigma_position_m: f64, sigma_yaw_rad: f64) -> GeoPose {
 
 /// Drives straight for a time, odometry and one scan every 0.1 s.
 fn driven(speed_mps: f64, seconds: i64) -> Vehicle {
-    let mut vehicle = Vehicle::new(Config::default(), vec![Mount::IDENTITY]);
+    let mut vehicle = Vehicle::new(VehicleConfig::default(), vec![Mount::IDENTITY]);
     drive(&mut vehicle, speed_mps, 0, seconds * 10);
     vehicle
 }
@@ -47,11 +47,11 @@ fn a_question_is_the_window_with_a_prior_at_its_newest_scan() {
 
 #[test]
 fn what_is_missing_is_said() {
-    let vehicle = Vehicle::new(Config::default(), vec![]);
+    let vehicle = Vehicle::new(VehicleConfig::default(), vec![]);
     assert_eq!(vehicle.question(), Err(NotReady::NoOdometry));
     assert_eq!(driven(10.0, 2).question(), Err(NotReady::NoPrior));
     assert!(matches!(driven(0.3, 2).question(), Err(NotReady::TooSlow { .. })));
-    let mut blind = Vehicle::new(Config::default(), vec![]);
+    let mut blind = Vehicle::new(VehicleConfig::default(), vec![]);
     blind.push_odometry(T0, Pose2::IDENTITY).unwrap();
     blind.push_odometry(T0 + 100_000, Pose2::new(1.0, 0.0, 0.0)).unwrap();
     assert_eq!(blind.question(), Err(NotReady::NoDetections));
@@ -84,7 +84,7 @@ fn a_fix_is_carried_to_now_and_becomes_the_next_prior() {
     assert!((position.fix_age_s.unwrap() - 1.0).abs() < 1e-9);
     let prior = vehicle.question().unwrap().request.prior.unwrap();
     assert!((prior.pose.unwrap().latitude_deg - 30.001).abs() < 1e-7);
-    assert!(prior.sigma_position_m >= Config::default().min_prior_sigma_position_m);
+    assert!(prior.sigma_position_m >= VehicleConfig::default().min_prior_sigma_position_m);
 }
 
 #[test]

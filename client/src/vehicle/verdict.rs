@@ -6,14 +6,14 @@ use echofix_core::geo::LatLon;
 use echofix_core::pose::wrap_angle;
 use echofix_proto::v1;
 
-use super::{AlertLimits, Config};
+use super::{AlertLimits, VehicleConfig};
 
 /// An answer that may be used.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fix {
     /// The pose of the body, with the sigmas of `covariance`.
     pub pose: GeoPose,
-    /// Covariance of (east m, north m, yaw rad), along the axes that `pose` is told in, *true* east and north: upper
+    /// Covariance of (east m, north m, yaw rad), along the axes of `pose`, *true* east and north: upper
     /// triangle row by row.
     pub covariance: [f64; 6],
     /// Bounds of the error; `None` when the answer had no valid ones and none were required.
@@ -33,9 +33,9 @@ pub enum Rejection {
     /// The service says not to.
     #[error("the service says not to use the answer ({}): {reason}", .status.as_str_name())]
     Status {
-        /// The status.
+        /// The status of the answer.
         status: v1::FixStatus,
-        /// The service's words.
+        /// The reason the service gives.
         reason: String,
     },
     /// The protection levels are missing or must not be relied on.
@@ -59,7 +59,7 @@ pub enum Rejection {
     TooOld {
         /// Seconds from the pose's time to the newest odometry.
         age_s: f64,
-        /// The limit.
+        /// The vehicle's limit, seconds.
         max_s: f64,
     },
     /// A question of this time or a later one has been answered before.
@@ -75,7 +75,7 @@ pub(super) fn judge(
     answer: &v1::LocalizeResponse,
     asked_us: i64,
     now_us: i64,
-    config: &Config,
+    config: &VehicleConfig,
 ) -> Result<Fix, Rejection> {
     if answer.status() != v1::FixStatus::Usable {
         return Err(Rejection::Status { status: answer.status(), reason: answer.status_reason.clone() });
@@ -98,7 +98,7 @@ pub(super) fn judge(
 /// The protection levels, within the limits.
 fn protection(
     answer: &v1::LocalizeResponse,
-    config: &Config,
+    config: &VehicleConfig,
 ) -> Result<Option<v1::ProtectionLevel>, Rejection> {
     let Some(level) = answer.protection.filter(|p| p.valid) else {
         return if config.require_valid_protection { Err(Rejection::NoProtection) } else { Ok(None) };
@@ -127,7 +127,7 @@ fn covariance(answer: &v1::LocalizeResponse) -> Result<[f64; 6], Rejection> {
     Ok(covariance)
 }
 
-/// The service tells a covariance along the grid's axes, which lie up to some degrees off the true ones.
+/// The service gives a covariance along the grid's axes, which lie up to some degrees off the true ones.
 fn on_true_axes(answer: &v1::LocalizeResponse, [xx, xy, xt, yy, yt, tt]: [f64; 6]) -> [f64; 6] {
     let yaws = answer.utm.zip(answer.pose).map(|(utm, pose)| [utm.yaw_rad, pose.yaw_rad]);
     let convergence_rad = yaws.map_or(0.0, |[grid, geodetic]| wrap_angle(grid - geodetic));
@@ -159,7 +159,7 @@ mod tests {
     use super::*;
     use crate::testing::{T0, usable_answer};
 
-    fn verdict(answer: &v1::LocalizeResponse, config: &Config) -> Result<Fix, Rejection> {
+    fn verdict(answer: &v1::LocalizeResponse, config: &VehicleConfig) -> Result<Fix, Rejection> {
         judge(answer, T0, T0 + 1_000_000, config)
     }
 
@@ -167,7 +167,7 @@ mod tests {
     fn a_good_answer_is_used_and_its_sigma_is_the_larger_axis() {
         let mut answer = usable_answer(T0);
         answer.covariance = vec![0.5, 0.4, 0.0, 0.5, 0.0, 1e-4];
-        let fix = verdict(&answer, &Config::default()).unwrap();
+        let fix = verdict(&answer, &VehicleConfig::default()).unwrap();
         assert!((fix.pose.sigma_position_m - 0.9_f64.sqrt()).abs() < 1e-12);
         assert!((fix.pose.sigma_yaw_rad - 0.01).abs() < 1e-12);
         assert!((fix.age_s - 1.0).abs() < 1e-9);
@@ -185,7 +185,7 @@ mod tests {
         answer.covariance = vec![on_grid[0], on_grid[1], 0.0, on_grid[2], 0.0, 1e-5];
         answer.pose.as_mut().unwrap().yaw_rad = yaw_rad;
         answer.utm = Some(v1::UtmPose { yaw_rad: yaw_rad + convergence_rad, ..v1::UtmPose::default() });
-        let [xx, xy, _, yy, _, tt] = verdict(&answer, &Config::default()).unwrap().covariance;
+        let [xx, xy, _, yy, _, tt] = verdict(&answer, &VehicleConfig::default()).unwrap().covariance;
         let (s, c) = yaw_rad.sin_cos();
         let across = xx * s * s - 2.0 * xy * s * c + yy * c * c;
         assert!((across - short).abs() < 1e-12 && (tt - 1e-5).abs() < 1e-15, "{across}");
@@ -195,28 +195,28 @@ mod tests {
     fn no_status_but_usable_is_used() {
         for status in 0..=8 {
             let answer = v1::LocalizeResponse { status, ..usable_answer(T0) };
-            let used = verdict(&answer, &Config::default()).is_ok();
+            let used = verdict(&answer, &VehicleConfig::default()).is_ok();
             assert_eq!(used, status == v1::FixStatus::Usable as i32, "{status}");
         }
-        assert!(verdict(&v1::LocalizeResponse::default(), &Config::default()).is_err());
+        assert!(verdict(&v1::LocalizeResponse::default(), &VehicleConfig::default()).is_err());
     }
 
     #[test]
     fn protection_must_be_valid_and_within_the_limits() {
         let mut answer = usable_answer(T0);
         let limits = AlertLimits { cross_m: 0.5, ..AlertLimits::default() };
-        let strict = Config { alert_limits: limits, ..Config::default() };
+        let strict = VehicleConfig { alert_limits: limits, ..VehicleConfig::default() };
         assert!(matches!(verdict(&answer, &strict), Err(Rejection::AboveAlertLimit { .. })));
         answer.protection.as_mut().unwrap().valid = false;
-        assert_eq!(verdict(&answer, &Config::default()), Err(Rejection::NoProtection));
-        let lenient = Config { require_valid_protection: false, ..Config::default() };
+        assert_eq!(verdict(&answer, &VehicleConfig::default()), Err(Rejection::NoProtection));
+        let lenient = VehicleConfig { require_valid_protection: false, ..VehicleConfig::default() };
         assert_eq!(verdict(&answer, &lenient).unwrap().protection, None);
     }
 
     #[test]
     fn old_and_malformed_answers_are_not_used() {
         let answer = usable_answer(T0);
-        let late = judge(&answer, T0, T0 + 6_000_000, &Config::default());
+        let late = judge(&answer, T0, T0 + 6_000_000, &VehicleConfig::default());
         assert!(matches!(late, Err(Rejection::TooOld { .. })));
         let breaks: [fn(&mut v1::LocalizeResponse); 6] = [
             |a| a.time_us += 1,
@@ -229,7 +229,7 @@ mod tests {
         for break_it in breaks {
             let mut answer = usable_answer(T0);
             break_it(&mut answer);
-            assert!(matches!(verdict(&answer, &Config::default()), Err(Rejection::Malformed(_))));
+            assert!(matches!(verdict(&answer, &VehicleConfig::default()), Err(Rejection::Malformed(_))));
         }
     }
 }

@@ -1,17 +1,16 @@
 //! The sliding window: odometry, and the gated scans it covers.
 
-use echofix_core::batch::Dropped;
+use echofix_core::gate::{Dropped, gate_scan};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 
-use super::{Config, Error};
-use crate::gate;
+use super::{Error, VehicleConfig};
 
 /// The last seconds of a drive.
 #[derive(Debug, Clone)]
-pub(super) struct Window {
-    config: Config,
+pub(super) struct ScanWindow {
+    config: VehicleConfig,
     mounts: Vec<Mount>,
     odometry: Trajectory,
     /// Metres travelled from the very first pose to the newest.
@@ -19,19 +18,19 @@ pub(super) struct Window {
     /// Scans that odometry does not cover yet, oldest first.
     waiting: Vec<Scan>,
     /// Gated scans, oldest first.
-    kept: Vec<Scan>,
+    gated: Vec<Scan>,
     dropped: Dropped,
 }
 
-impl Window {
-    pub(super) fn new(config: Config, mounts: Vec<Mount>) -> Self {
+impl ScanWindow {
+    pub(super) fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
         Self {
             config,
             mounts,
             odometry: Trajectory::default(),
             travelled_m: 0.0,
             waiting: Vec::new(),
-            kept: Vec::new(),
+            gated: Vec::new(),
             dropped: Dropped::default(),
         }
     }
@@ -68,14 +67,14 @@ impl Window {
         }
         self.settle();
         let oldest_us = self.oldest_us();
-        self.kept.retain(|scan| scan.time_us >= oldest_us);
+        self.gated.retain(|scan| scan.time_us >= oldest_us);
         self.odometry.trim_before(oldest_us);
         Ok(())
     }
 
     /// Gated scans, oldest first; none is empty, all are covered by odometry.
     pub(super) fn scans(&self) -> &[Scan] {
-        &self.kept
+        &self.gated
     }
 
     pub(super) fn mounts(&self) -> &[Mount] {
@@ -124,11 +123,11 @@ impl Window {
         for mut scan in self.waiting.drain(..covered) {
             let velocity = self.odometry.velocity_at(scan.time_us);
             let mount = &self.mounts[scan.sensor];
-            gate::apply(&mut scan, mount, velocity, &self.config.gate, &mut self.dropped);
+            self.dropped.add(&gate_scan(&mut scan, mount, velocity, &self.config.gate));
             if !scan.is_empty() {
                 // Geometry is sent, and radial speeds correct the odometry; do not hold the rest.
                 scan.rcs_dbsm = Vec::new();
-                insert(&mut self.kept, scan);
+                insert(&mut self.gated, scan);
             }
         }
     }
@@ -157,8 +156,8 @@ mod tests {
     use super::*;
     use crate::testing::T0;
 
-    fn window() -> Window {
-        Window::new(Config::default(), vec![Mount::IDENTITY; 2])
+    fn window() -> ScanWindow {
+        ScanWindow::new(VehicleConfig::default(), vec![Mount::IDENTITY; 2])
     }
 
     fn scan(sensor: usize, time_us: i64) -> Scan {
@@ -166,7 +165,7 @@ mod tests {
     }
 
     /// Straight east at a speed, a pose every 0.1 s.
-    fn drive(window: &mut Window, from: i64, to: i64, speed_mps: f64) {
+    fn drive(window: &mut ScanWindow, from: i64, to: i64, speed_mps: f64) {
         for i in from..to {
             let x_m = speed_mps * i as f64 * 0.1;
             window.push_odometry(T0 + i * 100_000, Pose2::new(x_m, 0.0, 0.0)).unwrap();
@@ -180,7 +179,7 @@ mod tests {
         for (sensor, offset_us) in [(0, 150_000), (1, 120_000), (0, 50_000), (1, 250_000)] {
             w.push_scan(scan(sensor, T0 + offset_us)).unwrap();
         }
-        let times = |w: &Window| w.scans().iter().map(|s| s.time_us - T0).collect::<Vec<_>>();
+        let times = |w: &ScanWindow| w.scans().iter().map(|s| s.time_us - T0).collect::<Vec<_>>();
         assert_eq!(times(&w), [50_000], "the others are ahead of odometry");
         drive(&mut w, 2, 4, 10.0);
         assert_eq!(times(&w), [50_000, 120_000, 150_000, 250_000]);

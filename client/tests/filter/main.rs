@@ -9,13 +9,13 @@ mod drive;
 use std::error::Error;
 
 use compare::Comparison;
-use echofix_client::filter::Config;
+use echofix_client::filter::FilterConfig;
 
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
 
 /// Drives whose fixes measure this far back into their batch, with a filter that knows.
 fn drives(middle: f64) -> Result<Vec<Comparison>, Box<dyn Error>> {
-    let mut config = Config::default();
+    let mut config = FilterConfig::default();
     config.fixes.middle = middle;
     SEEDS.map(|seed| drive::drive(seed, middle)?.compare(config)).collect()
 }

@@ -1,15 +1,15 @@
-//! What the contributors of a tile were moved by: how far the crowd says the map's georeference errs.
+//! By how much vetting moved the passes over a tile; the mean is the map's own offset.
 
 use crate::geo::{TILE_M, TileId, Zone};
 use crate::pose::{Pose2, weighted_mean};
 
-/// Offsets by which contributions to a tile were moved, at its centre, summed up. Sums are of integers:
+/// The sum of the offsets by which vetting moved passes over a tile, at its centre. Sums are of integers:
 /// they come out the same in any order.
 ///
-/// Who was moved by an offset holds the map to err by that offset; of all who contributed, the mean counts.
+/// A pass that was moved by an offset says that the map errs by it; the mean of all passes counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Datum {
-    /// Contributions that were counted, those that were not moved included.
+    /// Passes that were counted, those that were not moved included.
     pub passes: u32,
     /// Sum of the shifts, millimetres east and north.
     pub shift_mm: [i64; 2],
@@ -59,7 +59,7 @@ impl Offset {
 }
 
 impl Datum {
-    /// Counts one more contribution, moved by `offset` at the tile's centre.
+    /// Counts one more pass, moved by `offset` at the tile's centre.
     pub fn add(&mut self, offset: Offset) {
         let one = Self {
             passes: 1,
@@ -78,7 +78,7 @@ impl Datum {
         self.yaw_urad = self.yaw_urad.saturating_add(other.yaw_urad);
     }
 
-    /// The mean offset: metres east and north, radians; `None` when nobody contributed.
+    /// The mean offset: metres east and north, radians; `None` without any pass.
     #[must_use]
     pub fn mean(&self) -> Option<Pose2> {
         let mean = |sum: i64, unit: f64| sum as f64 * unit / f64::from(self.passes);
@@ -87,13 +87,13 @@ impl Datum {
     }
 }
 
-/// The mean offset at a place (map metres), interpolated between the centres of the four tiles around it;
+/// The mean offset at a position (map metres), interpolated between the centres of the four tiles around it;
 /// tiles without a datum are left out. Zero where there is none at all.
 ///
-/// What lies at `place` on the map is really at `place` less this.
+/// What lies at `position` on the map is really at `position` less this.
 #[must_use]
-pub fn mean_offset(zone: Zone, place: [f64; 2], datum: impl Fn(TileId) -> Datum) -> Pose2 {
-    let [u, v] = place.map(|c| c / TILE_M - 0.5);
+pub fn mean_offset(zone: Zone, position: [f64; 2], datum: impl Fn(TileId) -> Datum) -> Pose2 {
+    let [u, v] = position.map(|c| c / TILE_M - 0.5);
     let (column, row) = (u.floor(), v.floor());
     let (fx, fy) = (u - column, v - row);
     let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(|(dx, dy)| {
@@ -160,8 +160,8 @@ mod tests {
             let tiles: BTreeMap<(i32, i32), Datum> =
                 (0..25).map(|i| ((i / 5, i % 5), summed(&offsets[i as usize..=i as usize]))).collect();
             let datum = |at: TileId| tiles.get(&(at.y - 100, at.x - 200)).copied().unwrap_or_default();
-            let place = |x: f64, y: f64| [(200.0 + x) * TILE_M, (100.0 + y) * TILE_M];
-            let at = |x, y| mean_offset(id().zone, place(x, y), datum);
+            let position = |x: f64, y: f64| [(200.0 + x) * TILE_M, (100.0 + y) * TILE_M];
+            let at = |x, y| mean_offset(id().zone, position(x, y), datum);
             let (a, b) = (at(x, y), at(x + 1e-4, y + 1e-4));
             prop_assert!(a.distance_m(&b) < 1e-3, "{:?} {:?}", a, b);
             let centre = at(x.floor() + 0.5, y.floor() + 0.5);

@@ -2,8 +2,8 @@
 //!
 //! Over a batch, odometry errs by a velocity that hardly changes: a scale of the wheels, a bias of the
 //! gyro. So its error while it moves is taken for a straight line in time, in each of forward, left and
-//! yaw rate, and fitted to what the radars say. Each stretch between two estimates is compared as a whole: the noise
-//! of single odometry poses cancels, for where one stretch ends the next begins.
+//! yaw rate, and fitted to what the radars measure. Each interval between two estimates is compared as a whole:
+//! the noise of single odometry poses cancels, for where one interval ends the next begins.
 
 use nalgebra::{Matrix3x6, SMatrix, SVector, Vector3};
 
@@ -55,7 +55,7 @@ pub struct Dedrifted {
 
 /// Six numbers: the error of (forward, left, yaw rate) in the middle, and how it changes from there to
 /// the end.
-type Line = SVector<f64, 6>;
+type VelocityError = SVector<f64, 6>;
 
 /// Estimates of the own velocity, fewer of which correct nothing.
 const MIN_ESTIMATES: usize = 5;
@@ -78,7 +78,7 @@ where
 {
     let estimates = estimates(scans, mounts, ego, bias);
     let ((first_us, _), (last_us, _)) = (estimates.first()?, estimates.last()?);
-    let span = Span { first_us: *first_us, last_us: *last_us };
+    let span = EstimateSpan { first_us: *first_us, last_us: *last_us };
     if estimates.len() < MIN_ESTIMATES {
         return None;
     }
@@ -118,14 +118,14 @@ where
 fn fitted(
     estimates: &[(i64, EgoVelocity)],
     odometry: &Trajectory,
-    span: &Span,
+    span: &EstimateSpan,
     bias: &OdometryBias,
-) -> Option<Line> {
+) -> Option<VelocityError> {
     let sigmas = [bias.velocity_mps, bias.velocity_mps, bias.yaw_rate_radps].map(|sigma| sigma.powi(-2));
-    let prior = Line::from_iterator(sigmas.into_iter().cycle().take(6));
-    let (mut information, mut sum) = (SMatrix::<f64, 6, 6>::from_diagonal(&prior), Line::zeros());
+    let prior = VelocityError::from_iterator(sigmas.into_iter().cycle().take(6));
+    let (mut information, mut sum) = (SMatrix::<f64, 6, 6>::from_diagonal(&prior), VelocityError::zeros());
     for (index, (time_us, estimate)) in estimates.iter().enumerate() {
-        // No longer than a group: an estimate tells nothing of a stop that comes before or after it.
+        // No longer than a group: an estimate says nothing of a stop that comes before or after it.
         let half_us = (bias.group_s * 0.5e6) as i64;
         let middle = |other: Option<&(i64, EgoVelocity)>| {
             let middle = other.map_or(*time_us, |(t, _)| i64::midpoint(*t, *time_us));
@@ -144,14 +144,14 @@ fn fitted(
 }
 
 /// The time from the first estimate to the last.
-struct Span {
+struct EstimateSpan {
     first_us: i64,
     last_us: i64,
 }
 
-impl Span {
+impl EstimateSpan {
     /// -1 at the first estimate and before, 1 at the last and after.
-    fn place(&self, time_us: i64) -> f64 {
+    fn fraction(&self, time_us: i64) -> f64 {
         let (middle, half) =
             (i64::midpoint(self.first_us, self.last_us), (self.last_us - self.first_us) as f64 / 2.0);
         ((time_us - middle) as f64 / half.max(1.0)).clamp(-1.0, 1.0)
@@ -159,24 +159,24 @@ impl Span {
 
     /// Error of the velocity at a time, as a matrix on the line's numbers.
     fn design(&self, time_us: i64) -> Matrix3x6<f64> {
-        let place = self.place(time_us);
+        let fraction = self.fraction(time_us);
         let mut design = Matrix3x6::zeros();
         for axis in 0..3 {
             design[(axis, axis)] = 1.0;
-            design[(axis, axis + 3)] = place;
+            design[(axis, axis + 3)] = fraction;
         }
         design
     }
 
     /// The way with every step corrected.
-    fn corrected(&self, odometry: &Trajectory, line: &Line) -> Option<Trajectory> {
+    fn corrected(&self, odometry: &Trajectory, line: &VelocityError) -> Option<Trajectory> {
         let (mut last_us, mut last) = odometry.first()?;
         let mut pose = last;
         let mut corrected = Trajectory::new([(last_us, pose)]).ok()?;
         for (time_us, next) in odometry.iter().skip(1) {
             let dt_s = (time_us - last_us) as f64 * 1e-6;
             let step = last.between(&next);
-            // Wheels that stand do not err, and neither does a gyro that is told so.
+            // Wheels that stand do not err, and neither does a gyro that knows it.
             let moved = step.x_m.hypot(step.y_m) > STANDING_MPS * dt_s;
             let added = self.design(i64::midpoint(last_us, time_us)) * line * if moved { dt_s } else { 0.0 };
             // What is added points along the body half-way through the step's turn.

@@ -27,7 +27,7 @@ pub struct EgoConfig {
     pub hypotheses: usize,
     /// Estimates on fewer stationary detections are none.
     pub min_inliers: usize,
-    /// Estimates on a smaller share of all detections are none.
+    /// Estimates on a smaller fraction of all detections are none.
     pub min_share: f64,
     /// Seed of the draws.
     pub seed: u64,
@@ -154,7 +154,7 @@ impl Fit {
         }
         let inverse = information.cholesky()?.inverse();
         let velocity = inverse * sum;
-        // Errors larger than stated are told by the residuals; smaller ones are luck.
+        // The residuals show errors larger than stated; smaller ones are luck.
         let spread = (squares - velocity.dot(&sum)) / inliers.saturating_sub(3).max(1) as f64;
         Some(Self { velocity, covariance: inverse * spread.max(1.0), inliers })
     }

@@ -2,7 +2,7 @@
 
 use crate::geo::{CELL_M, CELLS_PER_TILE};
 
-/// Cells along the side of a view block: 1.6 m, about as fine as it can be told what was in view.
+/// Cells along the side of a view block: 1.6 m, about as fine as what was in view can be known.
 pub const VIEW_BLOCK_CELLS: usize = 16;
 /// View blocks along a tile's side.
 pub const VIEW_BLOCKS_PER_SIDE: usize = CELLS_PER_TILE / VIEW_BLOCK_CELLS;

@@ -1,10 +1,10 @@
-//! The bytes of a contribution: what the journal keeps of an upload.
+//! The bytes of an evidence delta: what the journal stores of an upload.
 //!
 //! ```text
-//! magic "EFC" | format version 2 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | head | zstd frame
+//! magic "EFC" | format version 2 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | header | zstd frame
 //! ```
 //!
-//! The head is readable without the cells: LEB128 varints of the detections, the number of tiles, and
+//! The header is readable without the cells: LEB128 varints of the detections, the number of tiles, and
 //! for each its EPSG code, x, y (zigzag) and number of cells; then the decoded length of the frame.
 //! The frame holds one column after the other, each over all tiles: runs of blocks in view (their number
 //! and lengths), the cells' indices as distances from the one before, hits, offset sums along x, along y:
@@ -12,42 +12,42 @@
 
 use std::collections::BTreeMap;
 
-use super::{CellHits, Contribution, OFFSET_STEPS, Share, VIEW_BLOCKS, ViewBlocks};
+use super::{CellHits, EvidenceDelta, OFFSET_STEPS, TileEvidence, VIEW_BLOCKS, ViewBlocks};
 use crate::geo::{TileId, Zone};
-use crate::sealed::{self, Kind};
+use crate::sealed::{self, SealedFormat};
 use crate::tile::{CELLS, DecodeError};
-use crate::varint::{Reader, Writer};
+use crate::varint::{VarintReader, VarintWriter};
 
-const KIND: Kind = Kind { magic: *b"EFC", version: 2 };
+const FORMAT: SealedFormat = SealedFormat { magic: *b"EFC", version: 2 };
 /// Read and written once each, and many of them: speed matters more than the last bytes.
 const ZSTD_LEVEL: i32 = 1;
 
-/// What is known of a contribution without its cells.
+/// The header of an evidence delta: what can be read without its cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Head {
-    /// See [`Contribution::detections`].
+pub struct DeltaHeader {
+    /// See [`EvidenceDelta::detections`].
     pub detections: u64,
     /// Tiles and their numbers of cells.
     pub tiles: Vec<(TileId, usize)>,
 }
 
-/// The bytes of a contribution.
+/// The bytes of an evidence delta.
 #[must_use]
-pub fn encode(contribution: &Contribution) -> Vec<u8> {
-    let Contribution { tiles, detections } = contribution;
-    let mut out = Writer::default();
+pub fn encode(delta: &EvidenceDelta) -> Vec<u8> {
+    let EvidenceDelta { tiles, detections } = delta;
+    let mut out = VarintWriter::default();
     out.put(*detections);
     out.put(tiles.len() as u64);
-    for (id, share) in tiles {
+    for (id, evidence) in tiles {
         out.put(u64::from(id.zone.epsg()));
         out.put_signed(i64::from(id.x));
         out.put_signed(i64::from(id.y));
-        out.put(share.cells.len() as u64);
+        out.put(evidence.cells.len() as u64);
     }
     let columns = columns(tiles);
     out.put(columns.len() as u64);
     out.bytes.extend(sealed::compressed(&columns, ZSTD_LEVEL));
-    KIND.seal(&out.bytes)
+    FORMAT.seal(&out.bytes)
 }
 
 /// Offset sum of hits in the middle of their cell.
@@ -55,15 +55,15 @@ fn middle(hits: u32) -> i64 {
     i64::from(hits) * i64::from(OFFSET_STEPS / 2)
 }
 
-fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
-    let mut out = Writer::default();
-    for share in tiles.values() {
-        put_blocks(&mut out, &share.observed);
+fn columns(tiles: &BTreeMap<TileId, TileEvidence>) -> Vec<u8> {
+    let mut out = VarintWriter::default();
+    for evidence in tiles.values() {
+        put_blocks(&mut out, &evidence.observed);
     }
-    for share in tiles.values() {
-        out.put_ascending(share.cells.iter().map(|cell| cell.index));
+    for evidence in tiles.values() {
+        out.put_ascending(evidence.cells.iter().map(|cell| cell.index));
     }
-    let cells = || tiles.values().flat_map(|share| &share.cells);
+    let cells = || tiles.values().flat_map(|evidence| &evidence.cells);
     out.put_all(cells().map(|cell| u64::from(cell.hits)));
     for axis in [0, 1] {
         cells().for_each(|cell| out.put_signed(i64::from(cell.offset_sum[axis]) - middle(cell.hits)));
@@ -71,48 +71,51 @@ fn columns(tiles: &BTreeMap<TileId, Share>) -> Vec<u8> {
     out.bytes
 }
 
-/// The head of a contribution's bytes; the cells are not looked at.
+/// The header of an evidence delta's bytes; the cells are not looked at.
 ///
 /// # Errors
-/// When the bytes are not a contribution's, are damaged, or break the format.
-pub fn decode_head(bytes: &[u8]) -> Result<Head, DecodeError> {
-    let body = KIND.unseal(bytes)?;
-    head(&mut Reader { rest: body }).ok_or(DecodeError::Malformed)
+/// When the bytes are not an evidence delta's, are damaged, or break the format.
+pub fn decode_header(bytes: &[u8]) -> Result<DeltaHeader, DecodeError> {
+    let body = FORMAT.unseal(bytes)?;
+    header(&mut VarintReader { rest: body }).ok_or(DecodeError::Malformed)
 }
 
-/// The contribution of its bytes; columns of more than `most` bytes are refused unread. A cell takes
+/// The evidence delta of its bytes; columns of more than `most` bytes are refused unread. A cell takes
 /// about 4 of them, and 21 at most.
 ///
 /// # Errors
-/// When the bytes are not a contribution's, are damaged, or break the format.
-pub fn decode(bytes: &[u8], most: usize) -> Result<Contribution, DecodeError> {
-    let body = KIND.unseal(bytes)?;
-    contribution(&mut Reader { rest: body }, most).ok_or(DecodeError::Malformed)
+/// When the bytes are not an evidence delta's, are damaged, or break the format.
+pub fn decode(bytes: &[u8], most: usize) -> Result<EvidenceDelta, DecodeError> {
+    let body = FORMAT.unseal(bytes)?;
+    delta(&mut VarintReader { rest: body }, most).ok_or(DecodeError::Malformed)
 }
 
-fn head(input: &mut Reader<'_>) -> Option<Head> {
+fn header(input: &mut VarintReader<'_>) -> Option<DeltaHeader> {
     let detections = input.get()?;
     let count = input.count()?;
     let tiles: Vec<_> = (0..count).map(|_| tile(input)).collect::<Option<_>>()?;
-    tiles.is_sorted_by(|a, b| a.0 < b.0).then_some(Head { detections, tiles })
+    tiles.is_sorted_by(|a, b| a.0 < b.0).then_some(DeltaHeader { detections, tiles })
 }
 
-fn tile(input: &mut Reader<'_>) -> Option<(TileId, usize)> {
+fn tile(input: &mut VarintReader<'_>) -> Option<(TileId, usize)> {
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let (x, y) = (input.get_signed()?, input.get_signed()?);
     let cells = input.get().filter(|cells| *cells <= CELLS as usize)?;
     Some((TileId { zone, y, x }, cells))
 }
 
-fn contribution(input: &mut Reader<'_>, most: usize) -> Option<Contribution> {
-    let Head { detections, tiles } = head(input)?;
+fn delta(input: &mut VarintReader<'_>, most: usize) -> Option<EvidenceDelta> {
+    let DeltaHeader { detections, tiles } = header(input)?;
     let length = input.get().filter(|length| *length <= most)?;
     let columns = sealed::decompressed(input.rest, length)?;
-    let tiles = shares(&tiles, &mut Reader { rest: &columns })?;
-    Some(Contribution { tiles, detections })
+    let tiles = tile_evidence(&tiles, &mut VarintReader { rest: &columns })?;
+    Some(EvidenceDelta { tiles, detections })
 }
 
-fn shares(tiles: &[(TileId, usize)], input: &mut Reader<'_>) -> Option<BTreeMap<TileId, Share>> {
+fn tile_evidence(
+    tiles: &[(TileId, usize)],
+    input: &mut VarintReader<'_>,
+) -> Option<BTreeMap<TileId, TileEvidence>> {
     let observed: Vec<_> = tiles.iter().map(|_| blocks(input)).collect::<Option<_>>()?;
     let mut cells = Vec::new();
     for (_, count) in tiles {
@@ -131,20 +134,21 @@ fn shares(tiles: &[(TileId, usize)], input: &mut Reader<'_>) -> Option<BTreeMap<
     }
     input.finish()?;
     let mut rest = cells.into_iter();
-    let share = |count: usize, observed| Share { cells: rest.by_ref().take(count).collect(), observed };
-    let mut share = share;
-    Some(tiles.iter().zip(observed).map(|((id, count), seen)| (*id, share(*count, seen))).collect())
+    let evidence =
+        |count: usize, observed| TileEvidence { cells: rest.by_ref().take(count).collect(), observed };
+    let mut evidence = evidence;
+    Some(tiles.iter().zip(observed).map(|((id, count), seen)| (*id, evidence(*count, seen))).collect())
 }
 
 /// Blocks as the number of their runs and the runs' lengths.
-pub(crate) fn put_blocks(out: &mut Writer, blocks: &ViewBlocks) {
+pub(crate) fn put_blocks(out: &mut VarintWriter, blocks: &ViewBlocks) {
     let runs = blocks.runs();
     out.put(runs.len() as u64);
     out.put_all(runs.into_iter().map(|run| run as u64));
 }
 
 /// What [`put_blocks`] wrote.
-pub(crate) fn blocks(input: &mut Reader<'_>) -> Option<ViewBlocks> {
+pub(crate) fn blocks(input: &mut VarintReader<'_>) -> Option<ViewBlocks> {
     let count = input.count().filter(|count| *count <= VIEW_BLOCKS + 1)?;
     let runs: Vec<usize> = (0..count).map(|_| input.get()).collect::<Option<_>>()?;
     ViewBlocks::from_runs(runs.into_iter())
@@ -155,7 +159,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn contributions() -> impl Strategy<Value = Contribution> {
+    fn contributions() -> impl Strategy<Value = EvidenceDelta> {
         let tile = (-2..3_i32, -2..3_i32, any::<bool>()).prop_map(|(x, y, south)| {
             let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
             TileId { zone, y, x }
@@ -166,29 +170,29 @@ mod tests {
             cells.into_iter().map(hits).collect()
         });
         let observed = prop::collection::vec(0..VIEW_BLOCKS, 0..40);
-        let share = (cells, observed)
-            .prop_map(|(cells, observed)| Share { cells, observed: observed.into_iter().collect() });
-        (prop::collection::btree_map(tile, share, 0..5), any::<u64>())
-            .prop_map(|(tiles, detections)| Contribution { tiles, detections })
+        let evidence = (cells, observed)
+            .prop_map(|(cells, observed)| TileEvidence { cells, observed: observed.into_iter().collect() });
+        (prop::collection::btree_map(tile, evidence, 0..5), any::<u64>())
+            .prop_map(|(tiles, detections)| EvidenceDelta { tiles, detections })
     }
 
     proptest! {
         #[test]
-        fn decoding_undoes_encoding(contribution in contributions()) {
-            let bytes = encode(&contribution);
-            let cells: usize = contribution.tiles.values().map(|share| share.cells.len()).sum();
-            let head = decode_head(&bytes).unwrap();
-            prop_assert_eq!(head.detections, contribution.detections);
-            let counted = head.tiles.iter().map(|(id, _)| *id).eq(contribution.tiles.keys().copied());
+        fn decoding_undoes_encoding(delta in contributions()) {
+            let bytes = encode(&delta);
+            let cells: usize = delta.tiles.values().map(|evidence| evidence.cells.len()).sum();
+            let head = decode_header(&bytes).unwrap();
+            prop_assert_eq!(head.detections, delta.detections);
+            let counted = head.tiles.iter().map(|(id, _)| *id).eq(delta.tiles.keys().copied());
             prop_assert!(counted && head.tiles.iter().map(|(_, count)| count).sum::<usize>() == cells);
-            prop_assert_eq!(decode(&bytes, 1 << 20), Ok(contribution));
+            prop_assert_eq!(decode(&bytes, 1 << 20), Ok(delta));
         }
 
         #[test]
         fn cut_or_changed_bytes_are_refused(
-            contribution in contributions(), at: prop::sample::Index, flip in 1..=255_u8,
+            delta in contributions(), at: prop::sample::Index, flip in 1..=255_u8,
         ) {
-            let mut bytes = encode(&contribution);
+            let mut bytes = encode(&delta);
             let at = at.index(bytes.len());
             prop_assert!(decode(&bytes[..at], 1 << 20).is_err());
             bytes[at] ^= flip;
@@ -198,22 +202,22 @@ mod tests {
         /// Past the checksum: whoever computes it may write anything.
         #[test]
         fn forged_content_does_no_harm(
-            contribution in contributions(), changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+            delta in contributions(), changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         ) {
-            let bytes = encode(&contribution);
-            let mut body = KIND.unseal(&bytes).unwrap().to_vec();
+            let bytes = encode(&delta);
+            let mut body = FORMAT.unseal(&bytes).unwrap().to_vec();
             for (at, value) in &changes {
                 let at = at.index(body.len());
                 body[at] = *value;
             }
-            let _ = decode(&KIND.seal(&body), 1 << 20);
-            let mut columns = columns(&contribution.tiles);
-            for (at, value) in changes.iter().filter(|_| !contribution.tiles.is_empty()) {
+            let _ = decode(&FORMAT.seal(&body), 1 << 20);
+            let mut columns = columns(&delta.tiles);
+            for (at, value) in changes.iter().filter(|_| !delta.tiles.is_empty()) {
                 let at = at.index(columns.len());
                 columns[at] = *value;
             }
-            let tiles: Vec<_> = contribution.tiles.iter().map(|(id, share)| (*id, share.cells.len())).collect();
-            let _ = shares(&tiles, &mut Reader { rest: &columns });
+            let tiles: Vec<_> = delta.tiles.iter().map(|(id, evidence)| (*id, evidence.cells.len())).collect();
+            let _ = tile_evidence(&tiles, &mut VarintReader { rest: &columns });
         }
     }
 
@@ -221,9 +225,9 @@ mod tests {
     fn columns_longer_than_allowed_are_refused() {
         let cells = (0..100).map(|index| CellHits { index, hits: 1, offset_sum: [130, 126] }).collect();
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 1, x: 2 };
-        let contribution = Contribution { tiles: [(id, Share::of_hits(cells))].into(), detections: 100 };
-        let bytes = encode(&contribution);
+        let delta = EvidenceDelta { tiles: [(id, TileEvidence::of_hits(cells))].into(), detections: 100 };
+        let bytes = encode(&delta);
         assert_eq!(decode(&bytes, 400), Err(DecodeError::Malformed));
-        assert_eq!(decode(&bytes, 500), Ok(contribution));
+        assert_eq!(decode(&bytes, 500), Ok(delta));
     }
 }

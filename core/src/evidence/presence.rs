@@ -1,6 +1,6 @@
-//! How present a cell is: the share of the passes with it in view that hit it, lately.
+//! How present a cell is: the fraction of the passes with it in view that hit it, lately.
 //!
-//! Hits alone only ever grow. What tells a wall from a car that was parked there once, or a wall that
+//! Hits alone only ever grow. What distinguishes a wall from a car that was parked there once, or a wall that
 //! was torn down from one that stands, is how often it was *not* hit by those that looked. The mean
 //! is exact for the first [`MEMORY`] passes; from then on each pass moves it by a `MEMORY`-th, so that
 //! it follows the world.
@@ -15,7 +15,7 @@ pub const FADED: u16 = ALWAYS / 64;
 
 /// As a number from 0 to 1.
 #[must_use]
-pub fn share(presence: u16) -> f64 {
+pub fn fraction(presence: u16) -> f64 {
     f64::from(presence) / f64::from(ALWAYS)
 }
 
@@ -68,7 +68,7 @@ mod tests {
             let passes = (1..).zip(&hits);
             let found = passes.fold(0, |p, (n, is_hit)| if *is_hit { hit(p, n) } else { missed(p, n) });
             let expected = hits.iter().filter(|h| **h).count() as f64 / hits.len() as f64;
-            prop_assert!((share(found) - expected).abs() < 2e-4, "{} {}", share(found), expected);
+            prop_assert!((fraction(found) - expected).abs() < 2e-4, "{} {}", fraction(found), expected);
         }
     }
 

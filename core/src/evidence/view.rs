@@ -24,13 +24,13 @@ const MIN_RAYS: u8 = 4;
 
 /// A view block of a zone's plane, counted from the zone's false origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Place {
+struct BlockIndex {
     zone: Zone,
     x: i64,
     y: i64,
 }
 
-impl Place {
+impl BlockIndex {
     fn of(zone: Zone, point: [f64; 2]) -> Self {
         let cell = CellIndex::of(point);
         let side = VIEW_BLOCK_CELLS as i64;
@@ -50,21 +50,21 @@ impl Place {
     }
 }
 
-/// The farthest returns by place of the radar and sector.
+/// The farthest returns, by the block the radar was in and the sector.
 #[derive(Debug, Default)]
 pub(super) struct Views {
-    farthest_m: HashMap<Place, Box<[f32; SECTORS]>>,
+    farthest_m: HashMap<BlockIndex, Box<[f32; SECTORS]>>,
 }
 
 /// Rays that crossed each block of some tiles.
 type Crossed = BTreeMap<TileId, Box<[u8; VIEW_BLOCKS]>>;
 
 impl Views {
-    /// Returns of one radar at one place, map metres.
+    /// Adds the returns of one radar, map metres, which is at `radar`.
     pub(super) fn see(&mut self, zone: Zone, radar: [f64; 2], returns: impl Iterator<Item = [f64; 2]>) {
-        let place = Place::of(zone, radar);
-        let [x0, y0] = place.middle();
-        let farthest_m = self.farthest_m.entry(place).or_insert_with(|| Box::new([0.0; SECTORS]));
+        let block = BlockIndex::of(zone, radar);
+        let [x0, y0] = block.middle();
+        let farthest_m = self.farthest_m.entry(block).or_insert_with(|| Box::new([0.0; SECTORS]));
         for [x, y] in returns {
             let (east, north) = (x - x0, y - y0);
             let turn = (north.atan2(east) / TAU).rem_euclid(1.0);
@@ -76,9 +76,9 @@ impl Views {
     /// What was in view of the tiles that are `known`.
     pub(super) fn observed(&self, known: impl Fn(&TileId) -> bool) -> BTreeMap<TileId, ViewBlocks> {
         let mut crossed = Crossed::new();
-        for (place, farthest_m) in &self.farthest_m {
+        for (block, farthest_m) in &self.farthest_m {
             for (sector, range_m) in farthest_m.iter().enumerate().filter(|(_, range_m)| **range_m > 0.0) {
-                follow(*place, sector, f64::from(*range_m), &known, &mut crossed);
+                follow(*block, sector, f64::from(*range_m), &known, &mut crossed);
             }
         }
         let in_view = |rays: &[u8; VIEW_BLOCKS]| (0..VIEW_BLOCKS).filter(|i| rays[*i] >= MIN_RAYS).collect();
@@ -87,7 +87,13 @@ impl Views {
 }
 
 /// Counts a ray in every block it crosses.
-fn follow(from: Place, sector: usize, range_m: f64, known: &impl Fn(&TileId) -> bool, crossed: &mut Crossed) {
+fn follow(
+    from: BlockIndex,
+    sector: usize,
+    range_m: f64,
+    known: &impl Fn(&TileId) -> bool,
+    crossed: &mut Crossed,
+) {
     let [x0, y0] = from.middle();
     let (sin, cos) = ((sector as f64 + 0.5) / SECTORS as f64 * TAU).sin_cos();
     let mut last = None;
@@ -95,11 +101,11 @@ fn follow(from: Place, sector: usize, range_m: f64, known: &impl Fn(&TileId) -> 
     let mut here: Option<(TileId, Option<&mut Box<[u8; VIEW_BLOCKS]>>)> = None;
     for step in 0..=(range_m / STEP_M) as usize {
         let along = step as f64 * STEP_M;
-        let place = Place::of(from.zone, [x0 + along * cos, y0 + along * sin]);
-        if last.replace(place) == Some(place) {
+        let block = BlockIndex::of(from.zone, [x0 + along * cos, y0 + along * sin]);
+        if last.replace(block) == Some(block) {
             continue;
         }
-        let (id, block) = place.in_tile();
+        let (id, block) = block.in_tile();
         if here.as_ref().is_none_or(|(at, _)| *at != id) {
             let rays = known(&id).then(|| crossed.entry(id).or_insert_with(|| Box::new([0; VIEW_BLOCKS])));
             here = Some((id, rays));

@@ -34,7 +34,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Sets the projection of a zone up (some microseconds; keep it for a request, not for ever).
+    /// Sets the projection of a zone up (some microseconds; hold it for a request, not for ever).
     ///
     /// # Errors
     /// When the projection library refuses, which a valid [`Zone`] gives no reason for.
@@ -216,7 +216,7 @@ mod tests {
 
         #[test]
         fn two_zones_agree_on_distance_and_direction(lat_deg in -70.0..70.0_f64, dx in -100.0..100.0, dy in -100.0..100.0) {
-            // The same sensor-metre vector laid out in two zones at their border ends in one place.
+            // The same sensor-metre vector laid out in two zones at their border ends at one position.
             let at = LatLon { lat_deg, lon_deg: 6.0 };
             let land = |epsg: u32| {
                 let south = if lat_deg < 0.0 { 100 } else { 0 };

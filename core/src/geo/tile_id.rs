@@ -35,7 +35,7 @@ impl CellIndex {
     }
 }
 
-/// A tile: its zone and its place in the zone's plane, in tiles from the false origin.
+/// A tile: its zone and its position in the zone's plane, in tiles from the false origin.
 ///
 /// Ordered by zone, then row by row, so that neighbours are near each other in a sorted store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -96,9 +96,9 @@ impl TileId {
         CellIndex { x: i64::from(self.x) * side, y: i64::from(self.y) * side }
     }
 
-    /// True when places of the tile can lie in its zone or near its border: UTM's eastings stay within 400 km of
+    /// True when positions of the tile can lie in its zone or near its border: UTM's eastings stay within 400 km of
     /// the central meridian's 500 km, its northings between 0 and 10 000 km, and two kilometres beyond, for a drive along
-    /// the equator is told in both hemispheres' zones.
+    /// the equator is mapped in both hemispheres' zones.
     #[must_use]
     pub fn lies_on_grid(self) -> bool {
         let [x_m, y_m] = self.origin();
@@ -175,8 +175,8 @@ mod tests {
             let zones = zones_near(at, 512.0).unwrap();
             assert_eq!(zones.len(), 2, "both hemispheres'");
             for zone in zones {
-                let place = Grid::new(zone).unwrap().project(at).unwrap();
-                let seen = TileId::covering(zone, place, 512.0 + 500.0);
+                let centre = Grid::new(zone).unwrap().project(at).unwrap();
+                let seen = TileId::covering(zone, centre, 512.0 + 500.0);
                 assert!(seen.into_iter().all(TileId::lies_on_grid), "{lat_deg} {zone:?}");
             }
         }

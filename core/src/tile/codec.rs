@@ -8,17 +8,17 @@
 //! other, so they pack better together than cell by cell. Indices are stored as distances, presences
 //! as what is missing from always; of blocks, only those that are not 0. The datum comes last.
 
-use super::votes::Kept;
+use super::votes::EncodedVotes;
 use super::{CELLS, Ledger, Tile};
 use crate::datum::Datum;
 use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
 pub use crate::sealed::DecodeError;
-use crate::sealed::{self, Kind};
-use crate::varint::{Reader, Writer};
+use crate::sealed::{self, SealedFormat};
+use crate::varint::{VarintReader, VarintWriter};
 
-const TILE: Kind = Kind { magic: *b"EFT", version: 3 };
-const LEDGER: Kind = Kind { magic: *b"EFL", version: 2 };
+const TILE: SealedFormat = SealedFormat { magic: *b"EFT", version: 3 };
+const LEDGER: SealedFormat = SealedFormat { magic: *b"EFL", version: 2 };
 const ZSTD_LEVEL: i32 = 3;
 /// A full tile's columns stay below this; anything larger is not ours.
 const MAX_DECODED: usize = 16 << 20;
@@ -28,7 +28,7 @@ const MAX_DECODED: usize = 16 << 20;
 pub fn encode(tile: &Tile) -> Vec<u8> {
     let cells = &tile.cells;
     let base_day = cells.iter().map(|(_, c)| c.first_day).min().unwrap_or(0);
-    let mut out = Writer::default();
+    let mut out = VarintWriter::default();
     out.put(cells.len() as u64);
     out.put(u64::from(base_day));
     out.put_ascending(cells.iter().map(|(index, _)| *index));
@@ -57,10 +57,10 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
 pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
     let frame = TILE.unseal(bytes)?;
     let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
-    tile(&mut Reader { rest: &body }).ok_or(DecodeError::Malformed)
+    tile(&mut VarintReader { rest: &body }).ok_or(DecodeError::Malformed)
 }
 
-fn tile(input: &mut Reader<'_>) -> Option<Tile> {
+fn tile(input: &mut VarintReader<'_>) -> Option<Tile> {
     let count = input.count()?;
     let base_day: u16 = input.get()?;
     let index = input.ascending(count, CELLS)?;
@@ -104,12 +104,12 @@ fn tile(input: &mut Reader<'_>) -> Option<Tile> {
 /// The bytes of a ledger.
 #[must_use]
 pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
-    let mut out = Writer::default();
+    let mut out = VarintWriter::default();
     out.put(ledger.passes().count() as u64);
-    for (pass, kept) in ledger.iter() {
+    for (pass, votes) in ledger.iter() {
         out.put(u64::from(pass.day));
         out.put(pass.contributor);
-        out.bytes.extend_from_slice(kept.bytes());
+        out.bytes.extend_from_slice(votes.bytes());
     }
     LEDGER.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
 }
@@ -121,22 +121,22 @@ pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
 pub fn decode_ledger(bytes: &[u8]) -> Result<Ledger, DecodeError> {
     let frame = LEDGER.unseal(bytes)?;
     let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
-    ledger(&mut Reader { rest: &body }).ok_or(DecodeError::Malformed)
+    ledger(&mut VarintReader { rest: &body }).ok_or(DecodeError::Malformed)
 }
 
-fn ledger(input: &mut Reader<'_>) -> Option<Ledger> {
+fn ledger(input: &mut VarintReader<'_>) -> Option<Ledger> {
     let passes = input.count()?;
-    let mut kept = Vec::new();
+    let mut votes = Vec::new();
     for _ in 0..passes {
         let pass = Pass { day: input.get()?, contributor: input.get()? };
-        kept.push((pass, Kept::take(input)?));
+        votes.push((pass, EncodedVotes::take(input)?));
     }
     input.finish()?;
-    Some(kept.into_iter().collect())
+    Some(votes.into_iter().collect())
 }
 
-/// The values that are not 0: their number, their places, and they.
-fn put_sparse<T: Copy + Into<u64>>(out: &mut Writer, values: &[T]) {
+/// The values that are not 0: their number, their indices, and they.
+fn put_sparse<T: Copy + Into<u64>>(out: &mut VarintWriter, values: &[T]) {
     let set =
         || (0_u32..).zip(values).map(|(at, value)| (at, (*value).into())).filter(|(_, value)| *value != 0);
     out.put(set().count() as u64);
@@ -145,7 +145,7 @@ fn put_sparse<T: Copy + Into<u64>>(out: &mut Writer, values: &[T]) {
 }
 
 /// What [`put_sparse`] wrote, into zeros.
-fn sparse<T: TryFrom<u64>>(input: &mut Reader<'_>, values: &mut [T]) -> Option<()> {
+fn sparse<T: TryFrom<u64>>(input: &mut VarintReader<'_>, values: &mut [T]) -> Option<()> {
     let count = input.count()?;
     for at in input.ascending(count, values.len() as u32)? {
         let value = input.get::<u64>().filter(|value| *value != 0)?;

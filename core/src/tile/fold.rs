@@ -1,35 +1,35 @@
-//! An upload's share is folded into a tile.
+//! Folding: an upload's evidence is added to a tile.
 
 use super::ledger::{CellNews, News};
 use super::{Ledger, Tile};
 use crate::datum::Offset;
-use crate::evidence::{Cell, CellHits, Pass, Share, presence, view_block};
+use crate::evidence::{Cell, CellHits, Pass, TileEvidence, presence, view_block};
 
 impl Tile {
-    /// Folds one upload's share in, as a vote of `pass`; `ledger` is the tile's own.
+    /// Folds one upload's evidence in, as votes of `pass`; `ledger` is the tile's own.
     ///
     /// A cell in a block that the pass has in view for the first time, and does not hit, gets less
-    /// present; one that fades altogether is dropped. The share's cells must be in order of their
-    /// index, as [`crate::evidence::Contribution`] holds them.
-    pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share) {
-        self.fold_moved(ledger, pass, share, Offset::default());
+    /// present; one that fades altogether is dropped. Its cells must be in order of their
+    /// index, as [`crate::evidence::EvidenceDelta`] holds them.
+    pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, evidence: &TileEvidence) {
+        self.fold_moved(ledger, pass, evidence, Offset::default());
     }
 
-    /// The same with a share that was moved onto the map, by `offset` at the tile's centre.
-    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, share: &Share, offset: Offset) {
+    /// The same with evidence that was moved onto the map, by `offset` at the tile's centre.
+    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, evidence: &TileEvidence, offset: Offset) {
         if !ledger.knows(pass) {
             self.datum.add(offset);
         }
-        let news = ledger.record(pass, share);
+        let news = ledger.record(pass, evidence);
         for block in news.observed.iter() {
             self.observed[block] = self.observed[block].saturating_add(1);
         }
         for block in &news.supported {
             self.support[*block] = self.support[*block].saturating_add(1);
         }
-        let mut merged = Vec::with_capacity(self.cells.len() + share.cells.len());
+        let mut merged = Vec::with_capacity(self.cells.len() + evidence.cells.len());
         let mut old = std::mem::take(&mut self.cells).into_iter().peekable();
-        for (hit, cell_news) in share.cells.iter().zip(&news.cells) {
+        for (hit, cell_news) in evidence.cells.iter().zip(&news.cells) {
             while let Some((index, cell)) = old.next_if(|(index, _)| *index < hit.index) {
                 merged.extend(self.passed_by(index, cell, &news));
             }

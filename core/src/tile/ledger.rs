@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use super::CELLS;
-use super::votes::Kept;
-use crate::evidence::{Pass, SUPPORT_BLOCKS, Share, ViewBlocks, support_block, view_block};
+use super::votes::EncodedVotes;
+use crate::evidence::{Pass, SUPPORT_BLOCKS, TileEvidence, ViewBlocks, support_block, view_block};
 
 /// Days a pass stays open, counted back from the newest one.
 const OPEN_DAYS: u16 = 30;
 /// Votes one tile's ledger holds, at most: some megabytes.
 const MAX_VOTES: usize = 500_000;
-/// Votes that a pass's blocks in view take the place of.
+/// Votes that a pass's blocks in view count for.
 const OBSERVED_VOTES: usize = 32;
 
 /// What the open passes have said of one tile.
@@ -20,10 +20,10 @@ const OBSERVED_VOTES: usize = 32;
 /// one unless a later pass of the same contributor is open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ledger {
-    passes: BTreeMap<Pass, Kept>,
+    passes: BTreeMap<Pass, EncodedVotes>,
 }
 
-/// What is new in a share.
+/// What is new in an upload's evidence.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct News {
     /// Of each cell, in order.
@@ -44,25 +44,25 @@ pub(super) struct CellNews {
 }
 
 impl Ledger {
-    /// Records what an upload of a pass says of the tile, and tells what is new in it.
-    pub(super) fn record(&mut self, pass: Pass, share: &Share) -> News {
+    /// Records what an upload of a pass says of the tile, and returns what is new in it.
+    pub(super) fn record(&mut self, pass: Pass, evidence: &TileEvidence) -> News {
         let mut known = Known::of(self, pass.contributor);
-        let mut votes = self.passes.get(&pass).map(Kept::votes).unwrap_or_default();
-        let cells = share.cells.iter().map(|hit| CellNews {
+        let mut votes = self.passes.get(&pass).map(EncodedVotes::votes).unwrap_or_default();
+        let cells = evidence.cells.iter().map(|hit| CellNews {
             pass: votes.cells.binary_search(&hit.index).is_err(),
             contributor: known.cells.insert(hit.index as usize),
         });
         let cells: Vec<_> = cells.collect();
-        let blocks = share.cells.iter().map(|hit| support_block(hit.index));
+        let blocks = evidence.cells.iter().map(|hit| support_block(hit.index));
         let supported = blocks.filter(|block| known.blocks.insert(*block)).collect();
-        let hit: ViewBlocks = share.cells.iter().map(|hit| view_block(hit.index)).collect();
-        let in_view = share.observed.union(&hit);
+        let hit: ViewBlocks = evidence.cells.iter().map(|hit| view_block(hit.index)).collect();
+        let in_view = evidence.observed.union(&hit);
         let observed = in_view.without(&votes.observed);
         votes.observed = votes.observed.union(&in_view);
-        let new = share.cells.iter().zip(&cells).filter(|(_, news)| news.pass).map(|(hit, _)| hit.index);
+        let new = evidence.cells.iter().zip(&cells).filter(|(_, news)| news.pass).map(|(hit, _)| hit.index);
         votes.cells.extend(new);
         votes.cells.sort_unstable();
-        self.passes.insert(pass, Kept::of(&votes));
+        self.passes.insert(pass, EncodedVotes::of(&votes));
         self.close_oldest(MAX_VOTES);
         News { cells, observed, supported }
     }
@@ -78,7 +78,7 @@ impl Ledger {
         if let Some((newest, _)) = self.passes.last_key_value() {
             self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
         }
-        let size = |kept: &Kept| kept.cells() + OBSERVED_VOTES;
+        let size = |votes: &EncodedVotes| votes.cells() + OBSERVED_VOTES;
         let mut held: usize = self.passes.values().map(size).sum();
         while held > max_votes
             && let Some((_, closed)) = self.passes.pop_first()
@@ -99,8 +99,8 @@ impl Ledger {
     }
 
     /// Passes and what they said, in order.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (Pass, &Kept)> {
-        self.passes.iter().map(|(pass, kept)| (*pass, kept))
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Pass, &EncodedVotes)> {
+        self.passes.iter().map(|(pass, votes)| (*pass, votes))
     }
 
     /// True when no pass can vote twice.
@@ -110,8 +110,8 @@ impl Ledger {
     }
 }
 
-impl FromIterator<(Pass, Kept)> for Ledger {
-    fn from_iter<I: IntoIterator<Item = (Pass, Kept)>>(iter: I) -> Self {
+impl FromIterator<(Pass, EncodedVotes)> for Ledger {
+    fn from_iter<I: IntoIterator<Item = (Pass, EncodedVotes)>>(iter: I) -> Self {
         Self { passes: iter.into_iter().collect() }
     }
 }
@@ -125,8 +125,8 @@ struct Known {
 impl Known {
     fn of(ledger: &Ledger, contributor: u64) -> Self {
         let mut known = Self { cells: Bits::new(CELLS as usize), blocks: Bits::new(SUPPORT_BLOCKS) };
-        for (_, kept) in ledger.iter().filter(|(pass, _)| pass.contributor == contributor) {
-            for cell in kept.votes().cells {
+        for (_, votes) in ledger.iter().filter(|(pass, _)| pass.contributor == contributor) {
+            for cell in votes.votes().cells {
                 known.cells.insert(cell as usize);
                 known.blocks.insert(support_block(cell));
             }
@@ -159,8 +159,8 @@ mod tests {
     use super::super::tests::hits;
     use super::*;
 
-    fn share(cells: impl IntoIterator<Item = u32>) -> Share {
-        Share::of_hits(hits(&cells.into_iter().map(|index| (index, 1)).collect()))
+    fn evidence(cells: impl IntoIterator<Item = u32>) -> TileEvidence {
+        TileEvidence::of_hits(hits(&cells.into_iter().map(|index| (index, 1)).collect()))
     }
 
     /// What is new about cells, as (pass, contributor).
@@ -172,7 +172,7 @@ mod tests {
     fn the_ledger_is_bounded_in_days_and_votes() {
         let mut ledger = Ledger::default();
         for day in 0..100 {
-            ledger.record(Pass { day, contributor: 1 }, &share(0..10));
+            ledger.record(Pass { day, contributor: 1 }, &evidence(0..10));
         }
         assert_eq!(ledger.passes().count(), usize::from(OPEN_DAYS) + 1);
         ledger.close_oldest(2 * (10 + OBSERVED_VOTES) + 1);
@@ -184,21 +184,21 @@ mod tests {
     fn old_passes_are_forgotten_and_the_rest_kept() {
         let mut ledger = Ledger::default();
         for day in 10..13 {
-            ledger.record(Pass { day, contributor: 7 }, &share([1, 2]));
+            ledger.record(Pass { day, contributor: 7 }, &evidence([1, 2]));
         }
         ledger.forget_before(12);
         let left: Vec<_> = ledger.passes().map(|pass| pass.day).collect();
         assert_eq!(left, [12]);
-        let news = ledger.record(Pass { day: 12, contributor: 7 }, &share([2, 3]));
+        let news = ledger.record(Pass { day: 12, contributor: 7 }, &evidence([2, 3]));
         assert_eq!(new_cells(&news), [(false, false), (true, true)]);
     }
 
-    /// Fails when contributors are told apart by their passes.
+    /// Fails when contributors are distinguished by their passes.
     #[test]
     fn a_contributor_is_new_once_while_a_pass_of_it_is_open() {
         let mut ledger = Ledger::default();
         let mut record = |day, contributor, cells: &[u32]| {
-            ledger.record(Pass { day, contributor }, &share(cells.iter().copied()))
+            ledger.record(Pass { day, contributor }, &evidence(cells.iter().copied()))
         };
         let first = record(10, 1, &[0, 5]);
         assert_eq!((new_cells(&first), first.supported), (vec![(true, true); 2], vec![0, 1]));
@@ -217,7 +217,7 @@ mod tests {
     fn blocks_are_observed_once_a_pass_and_those_hit_always_are() {
         let mut ledger = Ledger::default();
         let pass = Pass { day: 10, contributor: 1 };
-        let mut seen = share([0]);
+        let mut seen = evidence([0]);
         seen.observed = [5].into_iter().collect();
         let observed = |news: News| news.observed.iter().collect::<Vec<_>>();
         assert_eq!(observed(ledger.record(pass, &seen)), [0, 5]);

@@ -33,7 +33,7 @@ pub struct Tile {
     /// Distinct contributors with a hit in each support block, 255 for all above; counted as
     /// [`Cell::contributors`] are. They stay when the cells fade.
     support: Box<[u8; SUPPORT_BLOCKS]>,
-    /// What contributions were moved by, so that they lie on the map.
+    /// By how much vetting moved the passes.
     datum: Datum,
 }
 
@@ -89,8 +89,7 @@ impl Tile {
         &self.support
     }
 
-    /// What its contributions were moved by, so that they lie on the map: how far the crowd says the tile's
-    /// georeference errs.
+    /// By how much vetting moved the passes over it: how far the crowd says the tile's georeference errs.
     #[must_use]
     pub fn datum(&self) -> Datum {
         self.datum

@@ -4,7 +4,7 @@ use super::Tile;
 use crate::evidence::{Cell, SUPPORT_BLOCKS, VIEW_BLOCKS, support_block, view_block};
 
 /// How evidence that nobody confirms loses its worth. Passes that look and do not find it make it fade
-/// much sooner; this is for places where nobody goes any more.
+/// much sooner; this is for streets where nobody drives any more.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
     /// Days after which an unconfirmed cell's presence is half as high. After as many more, a
@@ -30,17 +30,17 @@ impl Decay {
     }
 }
 
-/// Passes with a place in view, from which on a cell there must have been hit by two, and not by one where others hit
+/// Passes with a block in view, from which on a cell there must have been hit by two, and not by one where others hit
 /// something beside it: what stands has been hit again by then, and strangers' clutter lies beside everything.
 const WELL_SEEN: u16 = 6;
-/// See [`WELL_SEEN`].
-const TWO: u8 = 2;
+/// Distinct contributors that must have hit a cell of a block that is [well seen](WELL_SEEN).
+const WELL_SEEN_CONTRIBUTORS: u8 = 2;
 
 impl Tile {
     /// Cells that enough contributors vouch for: at least `min_contributors` distinct ones have hit something in
     /// the same support block, and where many passes had it in view, two of them the cell itself.
     pub fn supported(&self, min_contributors: u8) -> impl Iterator<Item = &(u32, Cell)> {
-        let alone = min_contributors.min(TWO);
+        let alone = min_contributors.min(WELL_SEEN_CONTRIBUTORS);
         self.cells.iter().filter(move |(index, cell)| {
             let own = cell.contributors >= alone || self.observed[view_block(*index)] < WELL_SEEN;
             own && self.support[support_block(*index)] >= min_contributors
@@ -48,8 +48,8 @@ impl Tile {
     }
 
     /// The tile that is served: cells that enough contributors vouch for, see [`Tile::supported`], decayed to `today` (a UTC day counted from the Unix epoch; nothing decays
-    /// without it). What is known of blocks is kept only where there are such cells, so that nothing
-    /// tells where fewer contributors went.
+    /// without it). What is known of blocks stays only where there are such cells, so that nothing
+    /// shows where fewer contributors drove.
     #[must_use]
     pub fn published(&self, min_contributors: u8, today: Option<u16>, decay: &Decay) -> Self {
         let worth = |cell: Cell| today.map_or(Some(cell), |today| decay.applied(cell, today));
@@ -70,7 +70,7 @@ impl Tile {
 mod tests {
     use super::super::tests::{folded, hits, uploads};
     use super::*;
-    use crate::evidence::{Pass, Share, presence};
+    use crate::evidence::{Pass, TileEvidence, presence};
     use proptest::prelude::*;
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -94,12 +94,12 @@ mod tests {
             let mut near: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
             let mut own: BTreeMap<u32, BTreeSet<u64>> = BTreeMap::new();
             let mut passes: BTreeMap<usize, BTreeSet<Pass>> = BTreeMap::new();
-            for (pass, share) in &uploads {
-                for hit in &share.cells {
+            for (pass, evidence) in &uploads {
+                for hit in &evidence.cells {
                     near.entry(support_block(hit.index)).or_default().insert(pass.contributor);
                     own.entry(hit.index).or_default().insert(pass.contributor);
                 }
-                for block in share.observed.iter() {
+                for block in evidence.observed.iter() {
                     passes.entry(block).or_default().insert(*pass);
                 }
             }
@@ -111,16 +111,16 @@ mod tests {
             let served = tile.published(least, None, &Decay::default());
             let expected = tile.cells().iter().filter(|(index, _)| vouched(*index));
             prop_assert!(served.cells().iter().eq(expected));
-            let told = |block: usize| served.cells().iter().any(|(index, _)| support_block(*index) == block);
-            prop_assert!((0..SUPPORT_BLOCKS).all(|block| told(block) || served.support()[block] == 0));
+            let is_served = |block: usize| served.cells().iter().any(|(index, _)| support_block(*index) == block);
+            prop_assert!((0..SUPPORT_BLOCKS).all(|block| is_served(block) || served.support()[block] == 0));
             prop_assert_eq!(served.published(least, None, &Decay::default()), served);
         }
     }
 
     #[test]
     fn all_is_served_when_one_contributor_is_enough() {
-        let share = Share::of_hits(hits(&[(3, 1), (90, 2)].into()));
-        let (tile, _) = folded(&[(Pass { day: 20_000, contributor: 1 }, share)]);
+        let evidence = TileEvidence::of_hits(hits(&[(3, 1), (90, 2)].into()));
+        let (tile, _) = folded(&[(Pass { day: 20_000, contributor: 1 }, evidence)]);
         assert_eq!(tile.published(1, None, &Decay::default()), tile);
     }
 
@@ -129,9 +129,10 @@ mod tests {
         let tile = Tile::from_cells(vec![(3, cell(20_000)), (4, cell(20_200))]).unwrap();
         let served = |today| {
             let served = tile.published(1, Some(today), &Decay::default());
-            let share =
-                |(index, cell): &(u32, Cell)| (*index, (presence::share(cell.presence) * 1e4).round() / 1e4);
-            served.cells().iter().map(share).collect::<Vec<_>>()
+            let evidence = |(index, cell): &(u32, Cell)| {
+                (*index, (presence::fraction(cell.presence) * 1e4).round() / 1e4)
+            };
+            served.cells().iter().map(evidence).collect::<Vec<_>>()
         };
         assert_eq!(served(19_000), [(3, 1.0), (4, 1.0)], "a clock that is wrong does no harm");
         assert_eq!(served(20_180), [(3, 0.5), (4, 1.0)]);

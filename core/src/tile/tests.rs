@@ -4,9 +4,9 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::evidence::presence::{self, ALWAYS, MEMORY};
-use crate::evidence::{CellHits, Pass, Share, VIEW_BLOCK_CELLS, ViewBlocks};
+use crate::evidence::{CellHits, Pass, TileEvidence, VIEW_BLOCK_CELLS, ViewBlocks};
 
-/// Hits as (index, count), made into what a share holds.
+/// Hits as (index, count), as tile evidence holds them.
 pub(crate) fn hits(cells: &BTreeMap<u32, u32>) -> Vec<CellHits> {
     cells
         .iter()
@@ -15,35 +15,35 @@ pub(crate) fn hits(cells: &BTreeMap<u32, u32>) -> Vec<CellHits> {
 }
 
 /// Uploads of few contributors on few days, so that they meet: fewer passes than make a cell fade.
-pub(crate) fn uploads() -> impl Strategy<Value = Vec<(Pass, Share)>> {
+pub(crate) fn uploads() -> impl Strategy<Value = Vec<(Pass, TileEvidence)>> {
     let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
     let cells = prop::collection::btree_map(0..40_u32, 1..5_u32, 0..12).prop_map(|c| hits(&c));
-    let share = (cells, prop::collection::vec(0..4_usize, 0..4)).prop_map(|(cells, seen)| {
-        let observed = Share::of_hits(cells.clone()).observed.union(&seen.into_iter().collect());
-        Share { cells, observed }
+    let evidence = (cells, prop::collection::vec(0..4_usize, 0..4)).prop_map(|(cells, seen)| {
+        let observed = TileEvidence::of_hits(cells.clone()).observed.union(&seen.into_iter().collect());
+        TileEvidence { cells, observed }
     });
-    prop::collection::vec((pass, share), 1..10)
+    prop::collection::vec((pass, evidence), 1..10)
 }
 
-pub(crate) fn folded(uploads: &[(Pass, Share)]) -> (Tile, Ledger) {
+pub(crate) fn folded(uploads: &[(Pass, TileEvidence)]) -> (Tile, Ledger) {
     let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-    for (pass, share) in uploads {
-        tile.fold(&mut ledger, *pass, share);
+    for (pass, evidence) in uploads {
+        tile.fold(&mut ledger, *pass, evidence);
     }
     (tile, ledger)
 }
 
 /// A pass over block 0 that hits these cells.
-fn look(cells: impl IntoIterator<Item = u32>) -> Share {
+fn look(cells: impl IntoIterator<Item = u32>) -> TileEvidence {
     let cells = hits(&cells.into_iter().map(|index| (index, 1)).collect());
-    Share { cells, observed: [0].into_iter().collect() }
+    TileEvidence { cells, observed: [0].into_iter().collect() }
 }
 
 /// Passes by contributors that never come again.
-fn passes(shares: impl IntoIterator<Item = Share>) -> Tile {
+fn passes(parts: impl IntoIterator<Item = TileEvidence>) -> Tile {
     let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-    for (contributor, share) in (0..).zip(shares) {
-        tile.fold(&mut ledger, Pass { day: 20_000, contributor }, &share);
+    for (contributor, evidence) in (0..).zip(parts) {
+        tile.fold(&mut ledger, Pass { day: 20_000, contributor }, &evidence);
     }
     tile
 }
@@ -54,18 +54,18 @@ fn without_presence(tile: &Tile) -> Tile {
     Tile { cells: cells.collect(), ..tile.clone() }
 }
 
-/// One share that says all that others of the same pass do.
-fn together(shares: &[&Share]) -> Share {
+/// Evidence that says all that others of the same pass do.
+fn together(parts: &[&TileEvidence]) -> TileEvidence {
     let (mut cells, mut observed) = (BTreeMap::<u32, CellHits>::new(), ViewBlocks::default());
-    for share in shares {
-        observed = observed.union(&share.observed);
-        for hit in &share.cells {
+    for evidence in parts {
+        observed = observed.union(&evidence.observed);
+        for hit in &evidence.cells {
             let sum = cells.entry(hit.index).or_insert(CellHits { hits: 0, offset_sum: [0, 0], ..*hit });
             sum.hits += hit.hits;
             sum.offset_sum = [0, 1].map(|axis| sum.offset_sum[axis] + hit.offset_sum[axis]);
         }
     }
-    Share { cells: cells.into_values().collect(), observed }
+    TileEvidence { cells: cells.into_values().collect(), observed }
 }
 
 proptest! {
@@ -98,7 +98,7 @@ proptest! {
             let lookers: BTreeSet<_> = uploads.iter().filter(|(_, s)| s.observed.contains(block)).map(|(p, _)| *p).collect();
             prop_assert_eq!(usize::from(tile.observed()[block]), lookers.len());
             let expected = hitters.len() as f64 / lookers.len() as f64;
-            prop_assert!((presence::share(cell.presence) - expected).abs() < 5e-4);
+            prop_assert!((presence::fraction(cell.presence) - expected).abs() < 5e-4);
         }
     }
 
@@ -107,9 +107,9 @@ proptest! {
     fn uploads_of_one_pass_are_as_one(uploads in uploads(), before in 0..40_u64) {
         let earlier = (0..before).map(|i| (Pass { day: 19_999, contributor: 100 + i }, look([(i % 7) as u32])));
         let pass = Pass { day: 20_001, contributor: 0 };
-        let shares: Vec<_> = uploads.iter().map(|(_, share)| share).collect();
-        let apart = earlier.clone().chain(shares.iter().map(|share| (pass, (*share).clone())));
-        let whole = earlier.chain([(pass, together(&shares))]);
+        let parts: Vec<_> = uploads.iter().map(|(_, evidence)| evidence).collect();
+        let apart = earlier.clone().chain(parts.iter().map(|evidence| (pass, (*evidence).clone())));
+        let whole = earlier.chain([(pass, together(&parts))]);
         let (apart, _) = folded(&apart.collect::<Vec<_>>());
         let (whole, _) = folded(&whole.collect::<Vec<_>>());
         prop_assert_eq!(without_presence(&apart), without_presence(&whole));
@@ -143,7 +143,7 @@ proptest! {
     }
 }
 
-/// Fails when faded cells are kept: there would be thousands.
+/// Fails when faded cells stay: there would be thousands.
 #[test]
 fn a_tile_under_endless_clutter_stays_bounded() {
     let side = VIEW_BLOCK_CELLS as u32;
@@ -156,7 +156,7 @@ fn a_tile_under_endless_clutter_stays_bounded() {
 
 #[test]
 fn cells_whose_block_is_not_in_view_stay_as_they_are() {
-    let far = Share { cells: hits(&[(100, 1)].into()), observed: ViewBlocks::default() };
+    let far = TileEvidence { cells: hits(&[(100, 1)].into()), observed: ViewBlocks::default() };
     let tile = passes(std::iter::once(look([3])).chain(std::iter::repeat_n(far, 50)));
     assert_eq!(tile.cells()[0], passes([look([3])]).cells()[0]);
     assert_eq!(tile.observed()[view_block(100)], 50, "a hit block was in view, said or not");

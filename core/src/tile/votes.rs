@@ -1,11 +1,11 @@
-//! What a pass has said of one tile, and the bytes it is kept in.
+//! The votes of a pass in one tile, and their bytes.
 
 use super::CELLS;
 use crate::evidence::ViewBlocks;
 use crate::evidence::codec::{blocks, put_blocks};
-use crate::varint::{Reader, Writer};
+use crate::varint::{VarintReader, VarintWriter};
 
-/// What a pass has said of one tile.
+/// What a pass hit and had in view in one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Votes {
     /// Cells it hit, in order.
@@ -16,14 +16,14 @@ pub(super) struct Votes {
 
 /// The same in bytes: of the many passes of a busy street, an upload concerns those of its own contributor.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Kept {
+pub(super) struct EncodedVotes {
     cells: usize,
     bytes: Box<[u8]>,
 }
 
-impl Kept {
+impl EncodedVotes {
     pub(super) fn of(votes: &Votes) -> Self {
-        let mut out = Writer::default();
+        let mut out = VarintWriter::default();
         out.put(votes.cells.len() as u64);
         out.put_ascending(votes.cells.iter().copied());
         put_blocks(&mut out, &votes.observed);
@@ -31,7 +31,7 @@ impl Kept {
     }
 
     /// Takes them off bytes; `None` where they break the format.
-    pub(super) fn take(input: &mut Reader<'_>) -> Option<Self> {
+    pub(super) fn take(input: &mut VarintReader<'_>) -> Option<Self> {
         let from = input.rest;
         let votes = read(input)?;
         let bytes = &from[..from.len() - input.rest.len()];
@@ -39,7 +39,7 @@ impl Kept {
     }
 
     pub(super) fn votes(&self) -> Votes {
-        read(&mut Reader { rest: &self.bytes }).expect("they were written here, or read once before")
+        read(&mut VarintReader { rest: &self.bytes }).expect("they were written here, or read once before")
     }
 
     /// Number of cells that were hit.
@@ -52,7 +52,7 @@ impl Kept {
     }
 }
 
-fn read(input: &mut Reader<'_>) -> Option<Votes> {
+fn read(input: &mut VarintReader<'_>) -> Option<Votes> {
     let count = input.count()?;
     Some(Votes { cells: input.ascending(count, CELLS)?, observed: blocks(input)? })
 }

@@ -51,15 +51,15 @@ fn shifted(id: TileId, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHi
 /// at its tile's centre. What was in view is not moved: its blocks are coarser than any offset.
 #[must_use]
 pub fn moved_shares(
-    shares: &[(TileId, &evidence::Share)],
+    shares: &[(TileId, &evidence::TileEvidence)],
     offsets: &Offsets,
-) -> Vec<(TileId, evidence::Share, Offset)> {
+) -> Vec<(TileId, evidence::TileEvidence, Offset)> {
     if offsets.is_empty() {
         return shares.iter().map(|(id, share)| (*id, (*share).clone(), Offset::default())).collect();
     }
     let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
     let on_map = moved(&cells, offsets).into_iter().map(|(id, cells)| {
-        let mut share = evidence::Share::of_hits(cells);
+        let mut share = evidence::TileEvidence::of_hits(cells);
         if let Ok(before) = shares.binary_search_by_key(&id, |(id, _)| *id) {
             share.observed = share.observed.union(&shares[before].1.observed);
         }

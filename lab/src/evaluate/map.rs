@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 
 use anyhow::Context;
 use echofix_core::drive::{Drive, GeoPose};
-use echofix_core::evidence::{Gathering, Pass};
+use echofix_core::evidence::{EvidenceAccumulator, Pass};
+use echofix_core::gate::{Gate, gate_scan};
 use echofix_core::geo::{Grid, TileId, Zone};
+use echofix_core::odometry;
 use echofix_core::odometry::Trajectory;
-use echofix_core::scan::{Gate, Scan};
+use echofix_core::scan::Scan;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::window::{Frame, Window};
-use echofix_core::{doppler, odometry};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
 const MAX_POSE_GAP_US: i64 = 500_000;
@@ -87,7 +88,7 @@ impl RadarMap {
     pub fn add(&mut self, drive: &Drive, contributor: u64, max_sigma_m: f64) -> anyhow::Result<()> {
         let grid = Grid::new(self.zone)?;
         let scans = gated(drive, self.key.movers);
-        let (mut gathering, mut day) = (Gathering::default(), None);
+        let (mut gathering, mut day) = (EvidenceAccumulator::default(), None);
         for poses in stretches(&drive.reference, max_sigma_m) {
             let scale = grid.scale_factor(poses[0].at)?;
             let trajectory = on_grid(&grid, poses)?;
@@ -136,7 +137,7 @@ pub fn gated(drive: &Drive, movers: Movers) -> Vec<Scan> {
         for scan in &mut scans {
             let velocity = drive.odometry.velocity_at(scan.time_us);
             if let (Some(velocity), Some(mount)) = (velocity, drive.mounts.get(scan.sensor)) {
-                doppler::drop_movers(scan, mount, velocity, limit_mps);
+                gate_scan(scan, mount, Some(velocity), &Gate::of_movers(limit_mps));
             }
         }
     }

@@ -9,8 +9,8 @@ mod receive;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echofix_core::contribution::{Contributed, Refusal, contribute};
 use echofix_core::evidence::Pass;
+use echofix_core::evidence::build::{BuildError, BuiltEvidence, build_evidence};
 use echofix_proto::v1::{DroppedDetections, TileContribution, UploadRequest, UploadResponse};
 use prost::Message;
 use tokio::sync::Semaphore;
@@ -92,12 +92,12 @@ impl MappingApi {
         }
         let forget_before = self.oldest_day(day)?;
         let contributed = match body {
-            Body::Scans(submission) => contribute(submission, &self.config.limits())?,
+            Body::Scans(submission) => build_evidence(submission, &self.config.limits())?,
             Body::Evidence(evidence) => evidence.checked(&self.config)?,
         };
         let response = response(id, &contributed);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
-        let (contribution, answer) = (contributed.contribution, response.encode_to_vec());
+        let (contribution, answer) = (contributed.delta, response.encode_to_vec());
         match self.store.commit(Upload { id, pass, forget_before, contribution, answer })? {
             Receipt::Counted { epoch } => Ok(UploadResponse { epoch, ..response }),
             duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
@@ -157,9 +157,9 @@ impl MappingApi {
 }
 
 /// The answer, without what only the journal knows.
-fn response(id: Uuid, contributed: &Contributed) -> UploadResponse {
-    let Contributed { contribution, dropped, .. } = contributed;
-    let tile = |(id, share): (&_, &echofix_core::evidence::Share)| TileContribution {
+fn response(id: Uuid, contributed: &BuiltEvidence) -> UploadResponse {
+    let BuiltEvidence { delta: contribution, dropped, .. } = contributed;
+    let tile = |(id, share): (&_, &echofix_core::evidence::TileEvidence)| TileContribution {
         tile: Some(tile_id(*id)),
         cells: share.cells.len() as u32,
         detections: share.cells.iter().map(|cell| cell.hits).sum(),
@@ -190,7 +190,7 @@ fn repeated(receipt: Receipt) -> Result<UploadResponse, Error> {
 #[derive(Debug, thiserror::Error)]
 enum Error {
     #[error(transparent)]
-    Refused(#[from] Refusal),
+    Refused(#[from] BuildError),
     #[error("{0}")]
     Evidence(String),
     #[error("the upload is {age_days} days old; at most {most_days} days are taken")]
@@ -206,11 +206,11 @@ impl Error {
     fn reason(&self) -> &'static str {
         match self {
             Self::Refused(refusal) => match refusal {
-                Refusal::PoseTooUncertain { .. } => "POSE_TOO_UNCERTAIN",
-                Refusal::TooSlow { .. } => "TOO_SLOW",
-                Refusal::NoDetections { .. } => "NO_DETECTIONS",
-                Refusal::Outside(_) => "OUTSIDE_UTM",
-                Refusal::TooManyTiles { .. } | Refusal::Scans(_) | Refusal::Poses(_) => "INVALID",
+                BuildError::PoseTooUncertain { .. } => "POSE_TOO_UNCERTAIN",
+                BuildError::TooSlow { .. } => "TOO_SLOW",
+                BuildError::NoDetections { .. } => "NO_DETECTIONS",
+                BuildError::Outside(_) => "OUTSIDE_UTM",
+                BuildError::TooManyTiles { .. } | BuildError::Scans(_) | BuildError::Poses(_) => "INVALID",
             },
             Self::Evidence(_) => "INVALID",
             Self::TooOld { .. } => "TOO_OLD",
@@ -220,10 +220,10 @@ impl Error {
 
     fn status(&self) -> Status {
         match self {
-            Self::Refused(refusal @ (Refusal::TooManyTiles { .. } | Refusal::Scans(_))) => {
+            Self::Refused(refusal @ (BuildError::TooManyTiles { .. } | BuildError::Scans(_))) => {
                 status::invalid(&Violation::new("chunk.scans", refusal))
             }
-            Self::Refused(refusal @ Refusal::Poses(_)) => {
+            Self::Refused(refusal @ BuildError::Poses(_)) => {
                 status::invalid(&Violation::new("chunk.poses", refusal))
             }
             Self::Refused(refusal) => status::refused(self.reason(), refusal, &[]),

@@ -2,7 +2,7 @@
 
 use echofix_core::align::verdict::Integrity;
 use echofix_core::align::{EngineKind, Search};
-use echofix_core::scan::Gate;
+use echofix_core::gate::Gate;
 use serde::{Deserialize, Serialize};
 
 /// Ways to find the maximum of the correlation.

@@ -1,8 +1,9 @@
 //! What an upload must fulfil.
 
 use crate::store::Policy;
-use echofix_core::contribution::Limits;
-use echofix_core::scan::Gate;
+use echofix_core::drive::segment::SegmentLimits;
+use echofix_core::evidence::build::EvidenceLimits;
+use echofix_core::gate::Gate;
 use echofix_core::tile::Decay;
 use echofix_core::vetting;
 use serde::{Deserialize, Serialize};
@@ -98,19 +99,21 @@ impl MappingConfig {
     /// What poses and detections must fulfil. Sigmas come in single precision, in which one that keeps to its limit may
     /// have been rounded up.
     #[must_use]
-    pub fn limits(&self) -> Limits {
+    pub fn limits(&self) -> EvidenceLimits {
         let as_sent = |most: f64| most.max(f64::from(most as f32));
         let gate = Gate {
             min_speed_mps: self.min_speed_mps,
             max_range_m: self.max_range_m,
             max_doppler_residual_mps: self.max_doppler_residual_mps,
         };
-        Limits {
+        EvidenceLimits {
             gate,
-            max_sigma_position_m: as_sent(self.max_sigma_position_m),
-            max_sigma_yaw_rad: as_sent(self.max_sigma_yaw_deg.to_radians()),
-            max_pose_gap_s: self.max_pose_gap_s,
-            max_speed_mps: self.max_speed_mps,
+            segments: SegmentLimits {
+                max_sigma_position_m: as_sent(self.max_sigma_position_m),
+                max_sigma_yaw_rad: as_sent(self.max_sigma_yaw_deg.to_radians()),
+                max_pose_gap_s: self.max_pose_gap_s,
+                max_speed_mps: self.max_speed_mps,
+            },
             max_tiles: self.max_upload_tiles,
         }
     }
@@ -123,7 +126,7 @@ mod tests {
     /// Catches: poses and evidence refused for good because their sigma is the limit itself.
     #[test]
     fn a_sigma_at_the_limit_keeps_to_it_in_single_precision() {
-        let limits = MappingConfig::default().limits();
+        let limits = MappingConfig::default().limits().segments;
         assert!((0.3..0.300_001).contains(&limits.max_sigma_position_m));
         assert!(f64::from(0.3_f32) <= limits.max_sigma_position_m);
         assert!(f64::from(0.5_f32.to_radians()) <= limits.max_sigma_yaw_rad);

@@ -16,7 +16,7 @@
 //! Times are microseconds since the Unix epoch.
 
 use echofix_core::geo::{TileId, Zone};
-use echofix_core::varint::{Reader, Writer};
+use echofix_core::varint::{VarintReader, VarintWriter};
 use uuid::Uuid;
 
 use super::{Upload, record};
@@ -115,8 +115,8 @@ pub(super) fn import(day: u16, file: Uuid, tile: TileId, encoded: &[u8]) -> (Not
     (Note { day, what: What::Import { file, tile } }, out.bytes)
 }
 
-fn begun(day: u16, kind: u8) -> Writer {
-    let mut out = Writer::default();
+fn begun(day: u16, kind: u8) -> VarintWriter {
+    let mut out = VarintWriter::default();
     out.bytes.push(VERSION);
     out.put(u64::from(day));
     out.bytes.push(kind);
@@ -124,7 +124,7 @@ fn begun(day: u16, kind: u8) -> Writer {
 }
 
 fn varint(value: u64) -> Vec<u8> {
-    let mut out = Writer::default();
+    let mut out = VarintWriter::default();
     out.put(value);
     out.bytes
 }
@@ -170,8 +170,8 @@ pub(super) fn decode(bytes: &[u8]) -> Option<Entry> {
     })
 }
 
-fn open(bytes: &[u8]) -> Option<(u16, u8, Reader<'_>)> {
-    let mut input = Reader { rest: bytes };
+fn open(bytes: &[u8]) -> Option<(u16, u8, VarintReader<'_>)> {
+    let mut input = VarintReader { rest: bytes };
     if input.take(1)? != [VERSION] {
         return None;
     }
@@ -180,14 +180,14 @@ fn open(bytes: &[u8]) -> Option<(u16, u8, Reader<'_>)> {
     Some((day, kind, input))
 }
 
-fn import_head(input: &mut Reader<'_>) -> Option<(Uuid, TileId)> {
+fn import_head(input: &mut VarintReader<'_>) -> Option<(Uuid, TileId)> {
     let file = Uuid::from_slice(input.take(16)?).ok()?;
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let (x, y) = (input.get_signed()?, input.get_signed()?);
     Some((file, TileId { zone, y, x }))
 }
 
-fn action(kind: u8, input: &mut Reader<'_>) -> Option<Action> {
+fn action(kind: u8, input: &mut VarintReader<'_>) -> Option<Action> {
     Some(match kind {
         REVOKE_CONTRIBUTOR => Action::RevokeContributor(u64::from_le_bytes(input.take(8)?.try_into().ok()?)),
         REVOKE_UPLOAD => Action::RevokeUpload(Uuid::from_slice(input.take(16)?).ok()?),

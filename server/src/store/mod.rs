@@ -65,7 +65,7 @@ pub use vetting::Quarantined;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use echofix_core::evidence::{Contribution, Pass};
+use echofix_core::evidence::{EvidenceDelta, Pass};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{self, Tile};
 use tokio::sync::watch;
@@ -126,7 +126,7 @@ pub struct Upload {
     /// forgotten; 0 forgets none. Kept with the upload, so that folding it again gives the same.
     pub forget_before: u16,
     /// What it tells the map. Near a zone border it holds the tiles of both zones.
-    pub contribution: Contribution,
+    pub contribution: EvidenceDelta,
     /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
     pub answer: Vec<u8>,
 }

@@ -8,7 +8,7 @@
 
 use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
-use echofix_core::varint::{Reader, Writer};
+use echofix_core::varint::{VarintReader, VarintWriter};
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::Quarantined as Entry;
 
@@ -27,7 +27,7 @@ pub(super) fn key(number: u64) -> Vec<u8> {
 
 pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
     let Quarantined { number, reason, upload } = quarantined;
-    let mut out = Writer::default();
+    let mut out = VarintWriter::default();
     out.put(u64::from(upload.zone.epsg()));
     for metres in upload.place {
         out.put_signed((metres * 1e3).round() as i64);
@@ -53,7 +53,7 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
     if checksum(key, rest) != sum {
         return None;
     }
-    let mut input = Reader { rest };
+    let mut input = VarintReader { rest };
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
     let place = [metres()?, metres()?];

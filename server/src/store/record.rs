@@ -11,9 +11,9 @@
 //! with a timestamp, such as a UUID of version 7, tells when it was made. A vehicle that does not want
 //! that known uses ids without one.
 
-use echofix_core::evidence::{Contribution, Pass, codec};
+use echofix_core::evidence::{EvidenceDelta, Pass, codec};
 use echofix_core::geo::TileId;
-use echofix_core::varint::{Reader, Writer};
+use echofix_core::varint::{VarintReader, VarintWriter};
 use uuid::Uuid;
 
 use super::Upload;
@@ -24,7 +24,7 @@ const MAX_DECODED: usize = 256 << 20;
 
 /// The bytes of an upload.
 pub(super) fn encode(upload: &Upload) -> Vec<u8> {
-    let mut out = Writer::default();
+    let mut out = VarintWriter::default();
     out.bytes.push(VERSION);
     out.bytes.extend_from_slice(upload.id.as_bytes());
     out.bytes.extend_from_slice(&upload.pass.contributor.to_le_bytes());
@@ -48,21 +48,21 @@ pub(super) struct Head {
 
 /// The head of an upload's bytes; `None` when they do not follow the format.
 pub(super) fn decode_head(bytes: &[u8]) -> Option<Head> {
-    let mut input = Reader { rest: bytes };
+    let mut input = VarintReader { rest: bytes };
     let Upload { id, pass, forget_before, answer, .. } = bare(&mut input)?;
-    let tiles = codec::decode_head(input.rest).ok()?.tiles;
+    let tiles = codec::decode_header(input.rest).ok()?.tiles;
     Some(Head { id, pass, forget_before, answer, tiles })
 }
 
 /// The upload of its bytes; `None` when they do not follow the format.
 pub(super) fn decode(bytes: &[u8]) -> Option<Upload> {
-    let mut input = Reader { rest: bytes };
+    let mut input = VarintReader { rest: bytes };
     let upload = bare(&mut input)?;
     Some(Upload { contribution: codec::decode(input.rest, MAX_DECODED).ok()?, ..upload })
 }
 
 /// The upload without its contribution, which is what is left of the input.
-fn bare(input: &mut Reader<'_>) -> Option<Upload> {
+fn bare(input: &mut VarintReader<'_>) -> Option<Upload> {
     if input.take(1)? != [VERSION] {
         return None;
     }
@@ -71,7 +71,7 @@ fn bare(input: &mut Reader<'_>) -> Option<Upload> {
     let pass = Pass { day: input.get()?, contributor };
     let forget_before = input.get()?;
     let answer = input.bytes()?.to_vec();
-    Some(Upload { id, pass, forget_before, contribution: Contribution::default(), answer })
+    Some(Upload { id, pass, forget_before, contribution: EvidenceDelta::default(), answer })
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Uploads for tests.
 
-use echofix_core::evidence::{CellHits, Contribution, Pass, Share, VIEW_BLOCKS};
+use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence, VIEW_BLOCKS};
 use echofix_core::geo::{TileId, Zone};
 use proptest::prelude::*;
 use uuid::Uuid;
@@ -17,15 +17,15 @@ pub(crate) fn uploads() -> impl Strategy<Value = Upload> {
     let cells = prop::collection::btree_map(0..300_u32, 1..4_u32, 1..20)
         .prop_map(move |cells| cells.into_iter().map(hits).collect::<Vec<_>>());
     let share = (cells, 0..VIEW_BLOCKS).prop_map(|(cells, seen)| {
-        let mut share = Share::of_hits(cells);
+        let mut share = TileEvidence::of_hits(cells);
         share.observed.insert(seen);
         share
     });
     let tiles = prop::collection::btree_map(tile, share, 1..5);
     let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
     (any::<u128>(), pass, tiles, any::<Vec<u8>>()).prop_map(|(id, pass, tiles, answer)| {
-        let detections = tiles.values().map(Share::detections).sum();
-        let contribution = Contribution { tiles, detections };
+        let detections = tiles.values().map(TileEvidence::detections).sum();
+        let contribution = EvidenceDelta { tiles, detections };
         Upload { id: Uuid::from_u128(id), pass, forget_before: 0, contribution, answer }
     })
 }

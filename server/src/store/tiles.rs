@@ -264,7 +264,7 @@ fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
 mod tests {
     use super::super::key::stamp;
     use super::*;
-    use echofix_core::evidence::{CellHits, Pass, Share};
+    use echofix_core::evidence::{CellHits, Pass, TileEvidence};
     use echofix_core::geo::Zone;
     use proptest::prelude::*;
 
@@ -282,7 +282,7 @@ mod tests {
             hits: 99,
             offset_sum: [noise(at) % 25_000, noise(!at) % 25_000],
         };
-        let share = Share::of_hits((0..cells).map(hit).collect());
+        let share = TileEvidence::of_hits((0..cells).map(hit).collect());
         folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
         Value::new(id(x), &folded, 1)
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::{Datum, Offset};
-use echofix_core::evidence::{Contribution, Share};
+use echofix_core::evidence::{EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TILE_M, TileId, Zone};
 use echofix_core::vetting::alarm::Quarantined as Entry;
 use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Vetted, Vetter, moved_shares, told_by_others};
@@ -32,7 +32,7 @@ pub struct Quarantined {
 /// What becomes of an upload.
 pub(super) enum Outcome {
     /// It counts: its shares, moved onto the map, each with what moved it at its tile's centre.
-    Counts(Vec<(TileId, Share, Offset)>),
+    Counts(Vec<(TileId, TileEvidence, Offset)>),
     /// It does not.
     Quarantined(Quarantined),
 }
@@ -89,7 +89,7 @@ impl Vetting {
     }
 }
 
-fn by_zone(contribution: &Contribution) -> BTreeMap<Zone, Vec<(TileId, &Share)>> {
+fn by_zone(contribution: &EvidenceDelta) -> BTreeMap<Zone, Vec<(TileId, &TileEvidence)>> {
     let mut zones: BTreeMap<Zone, Vec<_>> = BTreeMap::new();
     for (id, share) in &contribution.tiles {
         zones.entry(id.zone).or_default().push((*id, share));
@@ -98,11 +98,12 @@ fn by_zone(contribution: &Contribution) -> BTreeMap<Zone, Vec<(TileId, &Share)>>
 }
 
 /// Map metres of the middle of the tiles, each counting by its cells.
-fn middle(shares: &[(TileId, &Share)]) -> [f64; 2] {
+fn middle(shares: &[(TileId, &TileEvidence)]) -> [f64; 2] {
     let cells: usize = shares.iter().map(|(_, share)| share.cells.len()).sum();
     let weighted = |axis: usize| {
-        let at =
-            |(id, share): &(TileId, &Share)| (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64;
+        let at = |(id, share): &(TileId, &TileEvidence)| {
+            (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64
+        };
         shares.iter().map(at).sum::<f64>() / cells.max(1) as f64
     };
     [weighted(0), weighted(1)]

@@ -7,8 +7,8 @@ use echofix_core::pose::Pose2;
 
 use super::furniture::street_frame;
 use super::streets::Street;
-use super::structure::{Kind, Look, Structure};
-use super::{City, Slot, fronts};
+use super::structure::{Look, ReflectorKind, Structure};
+use super::{City, ParkingSlot, fronts};
 use crate::error::{Error, within};
 use crate::plane::Point;
 
@@ -110,7 +110,10 @@ impl City {
             walls: structure.walls.extract_if(.., |wall| inside(middle(wall.a, wall.b))).collect(),
             reflectors: structure
                 .reflectors
-                .extract_if(.., |r| matches!(r.kind, Kind::Wall | Kind::Corner | Kind::Fence) && inside(r.at))
+                .extract_if(.., |r| {
+                    matches!(r.kind, ReflectorKind::Wall | ReflectorKind::Corner | ReflectorKind::Fence)
+                        && inside(r.at)
+                })
                 .collect(),
         };
         let mut lot = Structure::default();
@@ -120,7 +123,7 @@ impl City {
     }
 
     /// Is a slot usable on a day?
-    pub(super) fn may_park(&self, slot: &Slot, day: u32) -> bool {
+    pub(super) fn may_park(&self, slot: &ParkingSlot, day: u32) -> bool {
         let closed = |street: &Street| {
             let [x, y] = street_frame(street).inverse().transform([slot.pose.x_m, slot.pose.y_m]);
             (0.0..street.length_m()).contains(&x) && y.abs() < street.kerb_m
@@ -168,8 +171,8 @@ fn site(street: &Street) -> Structure {
 /// A container about a pose whose left is the lanes' side: corners, a corrugated side, and what it hides.
 fn container(structure: &mut Structure, at: &Pose2) {
     let [l, w] = CONTAINER_M.map(|side| 0.5 * side);
-    let corner = Look { kind: Kind::Corner, probability: 0.35, rcs_dbsm: 8.0, edge_rad: 1.3 };
-    let side = Look { kind: Kind::Wall, probability: 0.15, rcs_dbsm: 4.0, edge_rad: 0.9 };
+    let corner = Look { kind: ReflectorKind::Corner, probability: 0.35, rcs_dbsm: 8.0, edge_rad: 1.3 };
+    let side = Look { kind: ReflectorKind::Wall, probability: 0.15, rcs_dbsm: 4.0, edge_rad: 0.9 };
     let corners = [([l, w], 0.25 * PI), ([-l, w], 0.75 * PI), ([l, -w], -0.25 * PI), ([-l, -w], -0.75 * PI)];
     structure.reflectors.extend(corners.map(|(place, facing)| corner.at(at, place, facing)));
     let ribs = (-2..=2).map(|k| side.at(at, [f64::from(k), w], 0.5 * PI));
@@ -179,7 +182,7 @@ fn container(structure: &mut Structure, at: &Pose2) {
 
 /// Barriers along both sides of a street.
 fn barriers(street: &Street) -> Structure {
-    let post = Look { kind: Kind::Fence, probability: 0.25, rcs_dbsm: 2.0, edge_rad: 4.0 };
+    let post = Look { kind: ReflectorKind::Fence, probability: 0.25, rcs_dbsm: 2.0, edge_rad: 4.0 };
     let clear = super::furniture::CLEAR_M;
     let (frame, y) = (street_frame(street), street.kerb_m - BARRIER_M);
     let count = ((street.length_m() - 2.0 * clear) / POSTS_M).max(0.0) as usize;
@@ -201,12 +204,12 @@ mod tests {
         City::generate(&CityParams::default()).unwrap().changing(changes).unwrap()
     }
 
-    /// Sorted places of what stands still on a day.
+    /// Sorted positions of what stands still on a day.
     fn fixed(city: &City, day: u32) -> Vec<[i64; 2]> {
         let day = city.on_day(day);
         let mut all = Vec::new();
         let mut add = |r: &super::super::Reflector| {
-            if r.kind != Kind::Vehicle {
+            if r.kind != ReflectorKind::Vehicle {
                 all.push(r.at.map(|c| (c * 1e6).round() as i64));
             }
         };

@@ -2,8 +2,8 @@
 
 use std::ops::ControlFlow;
 
-use super::{City, Mover, Reflector, Traveller, Vehicle, parking, traffic};
-use crate::index::{PointIndex, SegmentIndex};
+use super::{Car, City, Mover, Reflector, Traveller, parking, traffic};
+use crate::index::{PointRaster, SegmentIndex};
 use crate::plane::Point;
 
 /// How much of a tall reflector's signal passes one diagonal of a parked car: radar sees through
@@ -15,11 +15,11 @@ const THROUGH_A_CAR: f64 = 0.6;
 pub struct CityDay<'a> {
     city: &'a City,
     day: u32,
-    parked: Vec<Vehicle>,
+    parked: Vec<Car>,
     travellers: Vec<Traveller>,
     /// Of cars, and of what stands there on some days only.
     reflectors: Vec<Reflector>,
-    reflector_index: PointIndex,
+    reflector_index: PointRaster,
     /// What stands there on some days only.
     walls: SegmentIndex,
     diagonals: SegmentIndex,
@@ -28,17 +28,17 @@ pub struct CityDay<'a> {
 impl<'a> CityDay<'a> {
     pub(super) fn new(city: &'a City, day: u32) -> Self {
         let parked = parking::parked(city.slots(), city.params(), day, |slot| city.may_park(slot, day));
-        let of_cars = parked.iter().flat_map(Vehicle::reflectors);
+        let of_cars = parked.iter().flat_map(Car::reflectors);
         let passing = city.passing(day).flat_map(|part| part.reflectors.iter().copied());
         let reflectors: Vec<_> = of_cars.chain(passing).collect();
-        let places: Vec<Point> = reflectors.iter().map(|r| r.at).collect();
+        let positions: Vec<Point> = reflectors.iter().map(|r| r.at).collect();
         Self {
             city,
             day,
             travellers: traffic::travellers(city.network(), city.params(), day),
-            reflector_index: PointIndex::new(&places),
+            reflector_index: PointRaster::new(&positions),
             walls: SegmentIndex::new(city.passing(day).flat_map(|part| part.walls.iter().copied()).collect()),
-            diagonals: SegmentIndex::new(parked.iter().flat_map(Vehicle::diagonals).collect()),
+            diagonals: SegmentIndex::new(parked.iter().flat_map(Car::diagonals).collect()),
             reflectors,
             parked,
         }
@@ -58,7 +58,7 @@ impl<'a> CityDay<'a> {
 
     /// The cars that stand in the slots today.
     #[must_use]
-    pub fn parked(&self) -> &[Vehicle] {
+    pub fn parked(&self) -> &[Car] {
         &self.parked
     }
 
@@ -68,7 +68,7 @@ impl<'a> CityDay<'a> {
     }
 
     /// Calls `visit` for a superset of the stationary reflectors within `radius_m` of `centre`, in
-    /// buckets `may_hold` accepts (see [`PointIndex::visit`]), always in the same order.
+    /// buckets `may_hold` accepts (see [`PointRaster::visit`]), always in the same order.
     pub(crate) fn visit(
         &self,
         centre: Point,
@@ -81,17 +81,17 @@ impl<'a> CityDay<'a> {
         self.reflector_index.visit(centre, radius_m, &may_hold, |item| visit(&self.reflectors[item]));
     }
 
-    /// The share of a reflector's signal that walls and parked cars let pass on its way to a point.
+    /// The fraction of a reflector's signal that walls and parked cars let pass on its way to a point.
     #[must_use]
     pub fn transmission(&self, from: Point, reflector: &Reflector) -> f64 {
         if self.city.walls().blocks(from, reflector.at) || self.walls.blocks(from, reflector.at) {
             return 0.0;
         }
-        let mut share = 1.0;
+        let mut fraction = 1.0;
         self.diagonals.visit(from, reflector.at, |_| {
-            share *= if reflector.is_low() { 0.0 } else { THROUGH_A_CAR };
-            if share < 0.05 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            fraction *= if reflector.is_low() { 0.0 } else { THROUGH_A_CAR };
+            if fraction < 0.05 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
-        share
+        fraction
     }
 }

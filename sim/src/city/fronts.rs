@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::streets::Frontage;
-use super::structure::{Kind, Look, Structure};
+use super::structure::{Look, ReflectorKind, Structure};
 use crate::plane::{direction, distance};
 use crate::rng::{Purpose, normal, stream, uniform};
 
@@ -116,7 +116,7 @@ impl Builder<'_> {
         let per_m = uniform(&mut self.rng, (4.0, 8.0));
         for _ in 0..(per_m * (to - from)) as usize {
             let look = Look {
-                kind: Kind::Wall,
+                kind: ReflectorKind::Wall,
                 probability: strength * uniform(&mut self.rng, (0.03, 0.2)),
                 rcs_dbsm: -3.0 + normal(&mut self.rng, 4.0),
                 edge_rad: uniform(&mut self.rng, (0.5, 1.1)),
@@ -129,7 +129,7 @@ impl Builder<'_> {
 
     fn corner(&mut self, place: [f64; 2], facing: f64, probability: f64) {
         let look = Look {
-            kind: Kind::Corner,
+            kind: ReflectorKind::Corner,
             probability,
             rcs_dbsm: 5.0 + normal(&mut self.rng, 4.0),
             edge_rad: 1.2,
@@ -159,7 +159,7 @@ impl Builder<'_> {
         let spacing = uniform(&mut self.rng, (2.0, 3.0));
         let mut post = from + 0.5;
         while post < to {
-            let look = Look { kind: Kind::Fence, probability: 0.15, rcs_dbsm: -4.0, edge_rad: 4.0 };
+            let look = Look { kind: ReflectorKind::Fence, probability: 0.15, rcs_dbsm: -4.0, edge_rad: 4.0 };
             self.structure.reflectors.push(look.at(&self.frame, [post, 0.3], OUT));
             post += spacing;
         }

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::streets::Street;
-use super::structure::{Kind, Look, Structure};
+use super::structure::{Look, ReflectorKind, Structure};
 use crate::plane::{Point, direction};
 use crate::rng::{Purpose, normal, poisson, stream, uniform};
 
@@ -32,10 +32,10 @@ pub(super) fn build(structure: &mut Structure, street: &Street, seed: u64, index
     }
 }
 
-type Row = Vec<(Look, Point)>;
+type ReflectorRow = Vec<(Look, Point)>;
 
-/// Places along the street from one clear end to the other, about `spacing_m` apart.
-fn places(rng: &mut ChaCha8Rng, street: &Street, spacing_m: f64, jitter_m: f64) -> Vec<f64> {
+/// Positions along the street from one clear end to the other, about `spacing_m` apart.
+fn positions(rng: &mut ChaCha8Rng, street: &Street, spacing_m: f64, jitter_m: f64) -> Vec<f64> {
     let end = street.length_m() - CLEAR_M;
     let mut x = CLEAR_M + uniform(rng, (0.0, spacing_m));
     let mut all = Vec::new();
@@ -47,48 +47,48 @@ fn places(rng: &mut ChaCha8Rng, street: &Street, spacing_m: f64, jitter_m: f64) 
 }
 
 fn pole(probability: f64, rcs_dbsm: f64) -> Look {
-    Look { kind: Kind::Pole, probability, rcs_dbsm, edge_rad: ALL_ROUND }
+    Look { kind: ReflectorKind::Pole, probability, rcs_dbsm, edge_rad: ALL_ROUND }
 }
 
 /// Lamps along the street and a traffic light at either end.
-fn lamps(rng: &mut ChaCha8Rng, street: &Street) -> Row {
+fn lamps(rng: &mut ChaCha8Rng, street: &Street) -> ReflectorRow {
     let spacing_m = uniform(rng, (20.0, 32.0));
-    let mut at = places(rng, street, spacing_m, 2.0);
+    let mut at = positions(rng, street, spacing_m, 2.0);
     at.extend([CLEAR_M - 1.0, street.length_m() - CLEAR_M + 1.0]);
     at.into_iter().map(|x| (pole(0.3, 3.0 + normal(rng, 2.0)), [x, street.kerb_m + 0.7])).collect()
 }
 
 /// Parking meters or signs at a regular spacing, on some streets.
-fn signs(rng: &mut ChaCha8Rng, street: &Street) -> Row {
+fn signs(rng: &mut ChaCha8Rng, street: &Street) -> ReflectorRow {
     if rng.random_bool(0.4) {
-        return Row::new();
+        return ReflectorRow::new();
     }
     let spacing_m = uniform(rng, (8.0, 14.0));
-    let at = places(rng, street, spacing_m, 0.1);
+    let at = positions(rng, street, spacing_m, 0.1);
     at.into_iter().map(|x| (pole(0.15, -3.0 + normal(rng, 2.0)), [x, street.kerb_m + 0.4])).collect()
 }
 
-fn trees(rng: &mut ChaCha8Rng, street: &Street) -> Row {
+fn trees(rng: &mut ChaCha8Rng, street: &Street) -> ReflectorRow {
     if rng.random_bool(0.5) {
-        return Row::new();
+        return ReflectorRow::new();
     }
     let spacing_m = uniform(rng, (7.0, 13.0));
-    let mut row = Row::new();
-    for x in places(rng, street, spacing_m, 0.8) {
+    let mut row = ReflectorRow::new();
+    for x in positions(rng, street, spacing_m, 0.8) {
         let radius_m = uniform(rng, (0.1, 0.3));
-        let look = Look { kind: Kind::Tree, probability: 0.1, rcs_dbsm: -3.0, edge_rad: ALL_ROUND };
+        let look = Look { kind: ReflectorKind::Tree, probability: 0.1, rcs_dbsm: -3.0, edge_rad: ALL_ROUND };
         let y = street.kerb_m + 1.1;
-        row.extend([[x - radius_m, y], [x + radius_m, y], [x, y - radius_m]].map(|place| (look, place)));
+        row.extend([[x - radius_m, y], [x + radius_m, y], [x, y - radius_m]].map(|at| (look, at)));
     }
     row
 }
 
-fn kerb(rng: &mut ChaCha8Rng, street: &Street) -> Row {
+fn kerb(rng: &mut ChaCha8Rng, street: &Street) -> ReflectorRow {
     let (low, high) = (CLEAR_M, street.length_m() - CLEAR_M);
     let count = poisson(rng, 0.5 * (high - low));
     let mut thing = || {
         let look = Look {
-            kind: Kind::Kerb,
+            kind: ReflectorKind::Kerb,
             probability: uniform(rng, (0.03, 0.15)),
             rcs_dbsm: -8.0 + normal(rng, 4.0),
             edge_rad: ALL_ROUND,

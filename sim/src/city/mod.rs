@@ -14,30 +14,30 @@ mod vehicle;
 pub use change::{Change, Plot};
 pub use day::CityDay;
 pub use params::CityParams;
-pub use parking::Slot;
+pub use parking::ParkingSlot;
 pub use streets::{LANE_M, Network, Street};
 pub(crate) use structure::Look;
-pub use structure::{Kind, Reflector, Structure};
+pub use structure::{Reflector, ReflectorKind, Structure};
 pub use traffic::{Mover, Traveller};
-pub use vehicle::Vehicle;
+pub use vehicle::Car;
 
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::index::{PointIndex, SegmentIndex};
+use crate::index::{PointRaster, SegmentIndex};
 use crate::plane::Point;
 use crate::site::Site;
 
-/// A town. Places are in city metres (see [`Site`]).
+/// A town. Positions are in city metres (see [`Site`]).
 #[derive(Debug, Clone)]
 pub struct City {
     params: CityParams,
     site: Site,
     network: Network,
     structure: Structure,
-    slots: Vec<Slot>,
+    slots: Vec<ParkingSlot>,
     walls: SegmentIndex,
-    reflectors: PointIndex,
+    reflectors: PointRaster,
     passing: Vec<change::Passing>,
     /// Streets without parking, and on which days.
     narrowed: Vec<(usize, Range<u32>)>,
@@ -68,7 +68,7 @@ impl City {
         params: &CityParams,
         network: Network,
         structure: Structure,
-        slots: Vec<Slot>,
+        slots: Vec<ParkingSlot>,
     ) -> Result<Self, Error> {
         let empty = Self {
             params: params.clone(),
@@ -76,7 +76,7 @@ impl City {
             network,
             slots,
             walls: SegmentIndex::new(Vec::new()),
-            reflectors: PointIndex::new(&[]),
+            reflectors: PointRaster::new(&[]),
             structure: Structure::default(),
             passing: Vec::new(),
             narrowed: Vec::new(),
@@ -86,10 +86,10 @@ impl City {
 
     /// The town with this structure on every day.
     fn indexed(self, structure: Structure) -> Self {
-        let places: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
+        let positions: Vec<Point> = structure.reflectors.iter().map(|r| r.at).collect();
         Self {
             walls: SegmentIndex::new(structure.walls.clone()),
-            reflectors: PointIndex::new(&places),
+            reflectors: PointRaster::new(&positions),
             structure,
             ..self
         }
@@ -125,9 +125,9 @@ impl City {
         &self.structure
     }
 
-    /// The places to park.
+    /// The slots to park in.
     #[must_use]
-    pub fn slots(&self) -> &[Slot] {
+    pub fn slots(&self) -> &[ParkingSlot] {
         &self.slots
     }
 
@@ -146,7 +146,7 @@ impl City {
         &self.walls
     }
 
-    pub(crate) fn reflector_index(&self) -> &PointIndex {
+    pub(crate) fn reflector_index(&self) -> &PointRaster {
         &self.reflectors
     }
 }

@@ -23,7 +23,7 @@ pub struct CityParams {
     pub irregularity_m: f64,
     /// Turn of the whole grid of streets, radians counter-clockwise.
     pub rotation_rad: f64,
-    /// Share of the parking slots taken on any day.
+    /// Fraction of the parking slots taken on any day.
     pub parking_occupancy: f64,
     /// Moving vehicles per kilometre of street and direction.
     pub traffic_per_km: f64,

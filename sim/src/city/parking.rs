@@ -8,12 +8,12 @@ use rand::RngExt;
 use super::CityParams;
 use super::furniture::{CLEAR_M, street_frame};
 use super::streets::Street;
-use super::vehicle::Vehicle;
+use super::vehicle::Car;
 use crate::rng::{Purpose, normal, stream, uniform};
 
-/// A place to park along the kerb.
+/// A slot to park in along the kerb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Slot {
+pub struct ParkingSlot {
     /// Its middle, city metres, and the direction cars are parked in.
     pub pose: Pose2,
     /// Distance from slot to slot, metres.
@@ -21,7 +21,7 @@ pub struct Slot {
 }
 
 /// The slots on both sides of one street.
-pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<Slot> {
+pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<ParkingSlot> {
     let frame = street_frame(street);
     let mut slots = Vec::new();
     for (side, sign, yaw_rad) in [(0, -1.0, 0.0), (1, 1.0, PI)] {
@@ -35,7 +35,7 @@ pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<Slot> {
             // Driveways and hydrants interrupt the row.
             if !rng.random_bool(0.07) {
                 let pose = frame.compose(&Pose2::new(x, sign * (street.kerb_m - 1.15), yaw_rad));
-                slots.push(Slot { pose, period_m });
+                slots.push(ParkingSlot { pose, period_m });
             }
             x += period_m;
         }
@@ -45,12 +45,12 @@ pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<Slot> {
 
 /// The cars parked on one day, where they may. Each slot is drawn on its own.
 pub(super) fn parked(
-    slots: &[Slot],
+    slots: &[ParkingSlot],
     params: &CityParams,
     day: u32,
-    may_park: impl Fn(&Slot) -> bool,
-) -> Vec<Vehicle> {
-    let car = |(index, slot): (usize, &Slot)| {
+    may_park: impl Fn(&ParkingSlot) -> bool,
+) -> Vec<Car> {
+    let car = |(index, slot): (usize, &ParkingSlot)| {
         let mut rng = stream(params.seed, Purpose::Parked, u64::from(day), index as u64);
         let taken = rng.random_bool(params.parking_occupancy);
         let length_m = uniform(&mut rng, (3.8, slot.period_m.min(5.3) - 0.4));
@@ -61,7 +61,7 @@ pub(super) fn parked(
             normal(&mut rng, 0.02),
         );
         let width_m = uniform(&mut rng, (1.7, 1.95));
-        (taken && may_park(slot)).then(|| Vehicle { pose: slot.pose.compose(&place), length_m, width_m })
+        (taken && may_park(slot)).then(|| Car { pose: slot.pose.compose(&place), length_m, width_m })
     };
     slots.iter().enumerate().filter_map(car).collect()
 }

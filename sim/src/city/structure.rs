@@ -2,11 +2,11 @@
 
 use echofix_core::pose::Pose2;
 
-use crate::plane::{Point, Segment, dot};
+use crate::plane::{LineSegment, Point, dot};
 
 /// What a reflector belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum ReflectorKind {
     /// Rough face of a building.
     Wall,
     /// Corner of a building, a door or a window: a strong reflector.
@@ -26,7 +26,7 @@ pub enum Kind {
 /// A point that sends radar back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reflector {
-    /// Place in the city, ground metres.
+    /// Position in the city, ground metres.
     pub at: Point,
     /// Unit vector it faces; `None` when it is seen alike from all sides.
     pub facing: Option<Point>,
@@ -37,7 +37,7 @@ pub struct Reflector {
     /// Mean radar cross section, decibel square metres.
     pub rcs_dbsm: f64,
     /// What it belongs to.
-    pub kind: Kind,
+    pub kind: ReflectorKind,
 }
 
 impl Reflector {
@@ -51,14 +51,14 @@ impl Reflector {
     /// True when a car in between always hides it.
     #[must_use]
     pub fn is_low(&self) -> bool {
-        matches!(self.kind, Kind::Kerb | Kind::Vehicle)
+        matches!(self.kind, ReflectorKind::Kerb | ReflectorKind::Vehicle)
     }
 }
 
-/// Strength and width of a kind of reflector; [`Look::at`] puts one in its place.
+/// Strength and width of a kind of reflector; [`Look::at`] puts one in its position.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Look {
-    pub kind: Kind,
+    pub kind: ReflectorKind,
     pub probability: f64,
     pub rcs_dbsm: f64,
     /// Half width of the angle from which it is seen, radians; more than pi for all sides.
@@ -67,10 +67,10 @@ pub(crate) struct Look {
 
 impl Look {
     /// A reflector at (x, y) of a frame, facing a yaw of that frame.
-    pub fn at(&self, frame: &Pose2, place: Point, facing_rad: f64) -> Reflector {
+    pub fn at(&self, frame: &Pose2, position: Point, facing_rad: f64) -> Reflector {
         let (s, c) = (frame.yaw_rad + facing_rad).sin_cos();
         Reflector {
-            at: frame.transform(place),
+            at: frame.transform(position),
             facing: (self.edge_rad <= std::f64::consts::PI).then_some([c, s]),
             edge_cos: self.edge_rad.cos(),
             probability: self.probability,
@@ -84,7 +84,7 @@ impl Look {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Structure {
     /// Building walls, which hide what lies behind.
-    pub walls: Vec<Segment>,
+    pub walls: Vec<LineSegment>,
     /// Points that reflect.
     pub reflectors: Vec<Reflector>,
 }
@@ -93,7 +93,7 @@ impl Structure {
     /// Walls along a line of points of a frame.
     pub(crate) fn wall(&mut self, frame: &Pose2, points: &[Point]) {
         self.walls.extend(
-            points.windows(2).map(|w| Segment { a: frame.transform(w[0]), b: frame.transform(w[1]) }),
+            points.windows(2).map(|w| LineSegment { a: frame.transform(w[0]), b: frame.transform(w[1]) }),
         );
     }
 }
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn a_directed_reflector_is_not_seen_from_behind() {
-        let look = Look { kind: Kind::Corner, probability: 0.5, rcs_dbsm: 0.0, edge_rad: 1.0 };
+        let look = Look { kind: ReflectorKind::Corner, probability: 0.5, rcs_dbsm: 0.0, edge_rad: 1.0 };
         let frame = Pose2::new(10.0, 5.0, std::f64::consts::FRAC_PI_2);
         let corner = look.at(&frame, [2.0, 0.0], 0.0);
         assert!((corner.at[0] - 10.0).abs() < 1e-9 && (corner.at[1] - 7.0).abs() < 1e-9);

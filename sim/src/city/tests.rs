@@ -21,10 +21,10 @@ fn parked_cars_change_from_day_to_day_and_nothing_else_does() {
     assert_eq!(one.parked(), city.on_day(1).parked());
     let share = |day: &CityDay| day.parked().len() as f64 / city.slots().len() as f64;
     assert!((0.55..0.75).contains(&share(&one)) && (0.55..0.75).contains(&share(&two)));
-    // The same slot may be taken on both days, but hardly by a car of the same size and place.
+    // The same slot may be taken on both days, but hardly by a car of the same size and position.
     let unchanged = one.parked().iter().filter(|car| two.parked().contains(car)).count();
     assert_eq!(unchanged, 0);
-    let taken_again = |car: &&Vehicle| two.parked().iter().any(|c| c.pose.distance_m(&car.pose) < 2.0);
+    let taken_again = |car: &&Car| two.parked().iter().any(|c| c.pose.distance_m(&car.pose) < 2.0);
     let again = one.parked().iter().filter(taken_again).count() as f64 / one.parked().len() as f64;
     assert!((0.5..0.8).contains(&again), "{again}");
 }
@@ -65,7 +65,7 @@ fn a_wall_hides_what_is_behind_it() {
         edge_cos: 0.0,
         probability: 1.0,
         rcs_dbsm: 0.0,
-        kind: Kind::Pole,
+        kind: ReflectorKind::Pole,
     };
     assert!(day.transmission(mid, &pole(street.kerb_m - 2.5)) > 0.99);
     assert!(day.transmission(mid, &pole(street.front_m + 25.0)) < 0.01);
@@ -79,15 +79,15 @@ fn a_parked_car_hides_the_kerb_and_dims_a_pole() {
     let (eye, behind) = (car.pose.transform([0.3, 4.0]), car.pose.transform([0.3, -1.2]));
     let thing =
         |kind| Reflector { at: behind, facing: None, edge_cos: 0.0, probability: 1.0, rcs_dbsm: 0.0, kind };
-    assert!(day.transmission(eye, &thing(Kind::Kerb)) < 0.01);
-    assert!((0.2..0.8).contains(&day.transmission(eye, &thing(Kind::Pole))));
+    assert!(day.transmission(eye, &thing(ReflectorKind::Kerb)) < 0.01);
+    assert!((0.2..0.8).contains(&day.transmission(eye, &thing(ReflectorKind::Pole))));
 }
 
 #[test]
 fn every_reflector_on_a_front_is_on_the_street_side_of_its_wall() {
     let city = city();
     let fixed = &city.structure().reflectors;
-    let on_fronts = fixed.iter().filter(|r| matches!(r.kind, Kind::Wall));
+    let on_fronts = fixed.iter().filter(|r| matches!(r.kind, ReflectorKind::Wall));
     let hidden = on_fronts.clone().filter(|r| {
         let facing = r.facing.unwrap();
         let blocked = |turn: f64| {

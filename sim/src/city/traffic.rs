@@ -1,4 +1,4 @@
-//! Vehicles that move: each keeps its lane along one line of streets and starts over at the end.
+//! Vehicles that move: each stays in its lane along one line of streets and starts over at the end.
 
 use std::f64::consts::TAU;
 
@@ -6,7 +6,7 @@ use echofix_core::pose::Pose2;
 
 use super::CityParams;
 use super::streets::{LANE_M, Network};
-use super::vehicle::Vehicle;
+use super::vehicle::Car;
 use crate::plane::{Point, add, direction, distance, left};
 use crate::rng::{Purpose, poisson, stream, uniform};
 
@@ -14,7 +14,7 @@ use crate::rng::{Purpose, poisson, stream, uniform};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mover {
     /// Where it is and how large.
-    pub vehicle: Vehicle,
+    pub vehicle: Car,
     /// Its velocity in the city, metres per second.
     pub velocity_mps: Point,
 }
@@ -44,7 +44,7 @@ impl Traveller {
         let (at, along) = self.lane.at(way_m.rem_euclid(self.lane.length_m()));
         let pose = Pose2::new(at[0], at[1], along[1].atan2(along[0]));
         Mover {
-            vehicle: Vehicle { pose, length_m: self.length_m, width_m: self.width_m },
+            vehicle: Car { pose, length_m: self.length_m, width_m: self.width_m },
             velocity_mps: [speed_mps * along[0], speed_mps * along[1]],
         }
     }
@@ -76,7 +76,7 @@ impl Lane {
         self.way_m[self.way_m.len() - 1]
     }
 
-    /// Place and direction after some way, which must be at most the lane's length.
+    /// Position and direction after some way, which must be at most the lane's length.
     fn at(&self, way_m: f64) -> (Point, Point) {
         let next = self.way_m.partition_point(|w| *w <= way_m).clamp(1, self.points.len() - 1);
         let along = direction(self.points[next - 1], self.points[next]);

@@ -1,9 +1,9 @@
 use std::collections::BTreeSet;
 
+use echofix_core::gate::Gate;
 use echofix_core::geo::CellIndex;
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::wrap_angle;
-use echofix_core::scan::Gate;
 
 use super::*;
 use crate::city::{City, CityParams};

@@ -3,7 +3,7 @@
 mod points;
 mod segments;
 
-pub use points::PointIndex;
+pub use points::PointRaster;
 pub use segments::SegmentIndex;
 
 use crate::plane::Point;
@@ -11,15 +11,15 @@ use crate::plane::Point;
 /// Side of a bucket, metres.
 const BUCKET_M: f64 = 8.0;
 
-/// The raster both indices share: buckets over a bounding box, row by row.
+/// The raster of both indices: buckets over a bounding box, row by row.
 #[derive(Debug, Clone)]
-struct Raster {
+struct IndexRaster {
     low: Point,
     columns: usize,
     rows: usize,
 }
 
-impl Raster {
+impl IndexRaster {
     fn around(points: impl Iterator<Item = Point>) -> Self {
         let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
         for p in points {
@@ -35,7 +35,7 @@ impl Raster {
         Self { low, columns: count(0), rows: count(1) }
     }
 
-    /// Column and row of a place, in buckets; outside the box when out of `0..columns`, `0..rows`.
+    /// Column and row of a point, in buckets; outside the box when out of `0..columns`, `0..rows`.
     fn place(&self, p: Point) -> [f64; 2] {
         [(p[0] - self.low[0]) / BUCKET_M, (p[1] - self.low[1]) / BUCKET_M]
     }

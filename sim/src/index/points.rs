@@ -1,20 +1,20 @@
 //! Which points may lie in a sector?
 
-use super::{BUCKET_M, Buckets, Raster};
+use super::{BUCKET_M, Buckets, IndexRaster};
 use crate::plane::{Point, add};
 
 /// Points by bucket.
 #[derive(Debug, Clone)]
-pub struct PointIndex {
-    raster: Raster,
+pub struct PointRaster {
+    raster: IndexRaster,
     buckets: Buckets,
 }
 
-impl PointIndex {
-    /// Indexes points, which are known by their place in the list from then on.
+impl PointRaster {
+    /// Indexes points, which are known by their index in the list from then on.
     #[must_use]
     pub fn new(points: &[Point]) -> Self {
-        let raster = Raster::around(points.iter().copied());
+        let raster = IndexRaster::around(points.iter().copied());
         let pairs: Vec<_> = points
             .iter()
             .enumerate()
@@ -64,7 +64,7 @@ mod tests {
             radius_m in 0.1..80.0_f64,
         ) {
             let mut seen = vec![0; points.len()];
-            PointIndex::new(&points).visit(centre, radius_m, |_, _| true, |item| seen[item] += 1);
+            PointRaster::new(&points).visit(centre, radius_m, |_, _| true, |item| seen[item] += 1);
             for (p, count) in points.iter().zip(seen) {
                 prop_assert!(count <= 1);
                 prop_assert!(count == 1 || distance(*p, centre) > radius_m);

@@ -2,27 +2,27 @@
 
 use std::ops::ControlFlow;
 
-use super::{BUCKET_M, Buckets, Raster};
-use crate::plane::{Point, Segment, sub};
+use super::{BUCKET_M, Buckets, IndexRaster};
+use crate::plane::{LineSegment, Point, sub};
 
 const SLACK_M: f64 = 1e-6;
 
 /// Segments by bucket, for rays.
 #[derive(Debug, Clone)]
 pub struct SegmentIndex {
-    raster: Raster,
+    raster: IndexRaster,
     buckets: Buckets,
-    segments: Vec<Segment>,
+    segments: Vec<LineSegment>,
 }
 
 impl SegmentIndex {
-    /// Indexes segments, which are known by their place in the list from then on.
+    /// Indexes segments, which are known by their index in the list from then on.
     #[must_use]
-    pub fn new(segments: Vec<Segment>) -> Self {
-        let raster = Raster::around(segments.iter().flat_map(|s| [s.a, s.b]));
+    pub fn new(segments: Vec<LineSegment>) -> Self {
+        let raster = IndexRaster::around(segments.iter().flat_map(|s| [s.a, s.b]));
         let mut pairs = Vec::new();
-        for (item, Segment { a, b }) in segments.iter().enumerate() {
-            // The slack keeps a crossing on a bucket's border findable from either side.
+        for (item, LineSegment { a, b }) in segments.iter().enumerate() {
+            // The slack leaves a crossing on a bucket's border findable from either side.
             let low = [a[0].min(b[0]) - SLACK_M, a[1].min(b[1]) - SLACK_M];
             let high = [a[0].max(b[0]) + SLACK_M, a[1].max(b[1]) + SLACK_M];
             pairs.extend(raster.touched(low, high).map(|place| (raster.bucket(place), item as u32)));
@@ -58,7 +58,7 @@ impl SegmentIndex {
 
 /// The buckets along a ray (Amanatides and Woo), each with the part of the ray inside it.
 struct Walk<'a> {
-    raster: &'a Raster,
+    raster: &'a IndexRaster,
     place: [i64; 2],
     step: [i64; 2],
     /// Fraction of the ray at which the next border of each axis is reached, and from one to the next.
@@ -68,7 +68,7 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    fn new(raster: &'a Raster, p: Point, q: Point) -> Self {
+    fn new(raster: &'a IndexRaster, p: Point, q: Point) -> Self {
         let (start, way) = (raster.place(p), sub(q, p));
         let place = start.map(|v| v.floor() as i64);
         let (mut step, mut next, mut stride) = ([0; 2], [f64::INFINITY; 2], [f64::INFINITY; 2]);
@@ -120,7 +120,7 @@ mod tests {
             p in point(),
             q in point(),
         ) {
-            let segments: Vec<_> = ends.into_iter().map(|(a, b)| Segment { a, b }).collect();
+            let segments: Vec<_> = ends.into_iter().map(|(a, b)| LineSegment { a, b }).collect();
             let mut met = vec![0; segments.len()];
             SegmentIndex::new(segments.clone()).visit(p, q, |item| {
                 met[item] += 1;

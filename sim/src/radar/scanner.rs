@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::spec::{MIN_RANGE_M, RadarSpec};
 use crate::city::{CityDay, Mover, Reflector};
-use crate::motion::State;
-use crate::plane::{Point, Segment, dot, sub};
+use crate::motion::MotionState;
+use crate::plane::{LineSegment, Point, dot, sub};
 use crate::rng::{normal, poisson, uniform};
 
 /// Range at which half the detections of a reflector of 0 dBsm are missed, metres.
@@ -24,14 +24,14 @@ pub struct Scanner<'a> {
     rng: ChaCha8Rng,
 }
 
-/// The radar's place and motion during one scan, and what moves around it.
+/// The radar's pose and motion during one scan, and what moves around it.
 struct Sight<'a> {
     at: Point,
     boresight: Point,
     yaw_rad: f64,
     velocity_mps: Point,
     movers: &'a [Mover],
-    hiding: &'a [Segment],
+    hiding: &'a [LineSegment],
 }
 
 struct Echo {
@@ -56,7 +56,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// Scans from a vehicle in some state; `movers` are the vehicles around it.
-    pub fn scan(&mut self, time_us: i64, body: &State, movers: &[Mover]) -> Scan {
+    pub fn scan(&mut self, time_us: i64, body: &MotionState, movers: &[Mover]) -> Scan {
         let pose = body.pose.compose(&self.spec.mount);
         let hiding: Vec<_> = movers.iter().flat_map(|m| m.vehicle.diagonals()).collect();
         let sight = Sight {
@@ -104,7 +104,7 @@ impl<'a> Scanner<'a> {
         if aspect <= 0.0 {
             return None;
         }
-        // The ray is the costly part, the range's share the next: they decide last, with the same draw.
+        // The ray is the costly part, the range's part the next: they decide last, with the same draw.
         let near = self.spec.sensitivity * reflector.probability * aspect;
         let draw: f64 = self.rng.random();
         if draw >= near {
@@ -128,7 +128,7 @@ impl<'a> Scanner<'a> {
         seen.then_some(echo)
     }
 
-    /// The share of the signal that walls, parked cars and traffic let pass.
+    /// The fraction of the signal that walls, parked cars and traffic let pass.
     fn seen_share(&self, sight: &Sight, reflector: &Reflector) -> f64 {
         if sight.hiding.iter().any(|d| d.crossing(sight.at, reflector.at).is_some()) {
             return 0.0;

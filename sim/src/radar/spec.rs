@@ -10,13 +10,13 @@ use crate::plane::{Point, dot};
 /// One radar: where it sits and what it can do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RadarSpec {
-    /// Place on the body, whose origin is the middle of the rear axle.
+    /// Pose on the body, whose origin is the middle of the rear axle.
     pub mount: Mount,
     /// Areas seen at once; a target in any of them can be detected.
     pub fields: Vec<FieldOfView>,
     /// Scans per second.
     pub rate_hz: f64,
-    /// Detections per scan at most; the strongest are kept.
+    /// Detections per scan at most; the strongest remain.
     pub max_detections: usize,
     /// Factor on every reflector's chance of a detection.
     pub sensitivity: f64,

@@ -15,7 +15,7 @@ const STEP_M: f64 = 0.1;
 pub struct PathPoint {
     /// Way from the start, ground metres.
     pub way_m: f64,
-    /// Place in the city and direction of travel.
+    /// Position in the city and direction of travel.
     pub pose: Pose2,
     /// Turn per metre, radians, positive to the left.
     pub curvature_radpm: f64,

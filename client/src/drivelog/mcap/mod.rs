@@ -8,7 +8,7 @@ mod write;
 pub(super) use read::read;
 pub(super) use write::write;
 
-/// Where an MCAP drive log keeps what.
+/// The topics of an MCAP drive log.
 ///
 /// The messages are protobuf; `echofix.log.v1` is defined in this crate's `proto` folder, and every
 /// log embeds the definitions. Log times are the measurements' own times.

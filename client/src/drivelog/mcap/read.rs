@@ -13,7 +13,8 @@ use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message;
 
-use super::super::{Error, io_error, is_finite};
+use super::super::Problem;
+use super::super::file::{Error, io_error, is_finite};
 use super::messages::{self, log};
 use super::topic;
 
@@ -25,7 +26,7 @@ pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
     let options =
         LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD);
     let mut reader = LinearReader::new_with_options(options);
-    let mut log = Log::new(path);
+    let mut log = LogReader::new(path);
     while let Some(event) = reader.next_event() {
         match event.map_err(|e| log.damaged(e))? {
             LinearReadEvent::ReadRequest(need) => {
@@ -39,7 +40,7 @@ pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
 }
 
 /// What has been read so far.
-struct Log {
+struct LogReader {
     path: PathBuf,
     topics: HashMap<u16, String>,
     counts: HashMap<u16, u64>,
@@ -47,7 +48,7 @@ struct Log {
     drive: Drive,
 }
 
-impl Log {
+impl LogReader {
     fn new(path: &Path) -> Self {
         let (topics, counts) = (HashMap::new(), HashMap::new());
         Self { path: path.to_owned(), topics, counts, metadata: None, drive: Drive::default() }
@@ -80,16 +81,16 @@ impl Log {
         Ok(())
     }
 
-    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
+    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), Problem> {
         match topic {
             topic::SCANS => {
                 let scan = messages::scan_from(decode::<log::RadarScan>(data)?);
-                scan.validate().map_err(|e| e.to_string())?;
+                scan.validate()?;
                 self.drive.scans.push(scan);
             }
             topic::ODOMETRY => {
                 let (time_us, pose) = messages::odometry_from(&decode::<log::OdometryPose>(data)?);
-                self.drive.odometry.push(time_us, pose).map_err(|e| e.to_string())?;
+                self.drive.odometry.push(time_us, pose)?;
             }
             topic::REFERENCE => self.drive.reference.push(geodetic(data)?),
             topic::TRUTH => self.drive.truth.push(geodetic(data)?),
@@ -133,13 +134,13 @@ impl Log {
     }
 }
 
-fn decode<M: Message + Default>(data: &[u8]) -> Result<M, String> {
-    M::decode(data).map_err(|e| format!("it does not decode: {e}"))
+fn decode<M: Message + Default>(data: &[u8]) -> Result<M, Problem> {
+    Ok(M::decode(data)?)
 }
 
-fn geodetic(data: &[u8]) -> Result<GeoPose, String> {
+fn geodetic(data: &[u8]) -> Result<GeoPose, Problem> {
     let pose = messages::geodetic_from(&decode::<log::GeodeticPose>(data)?);
-    if is_finite(&pose) { Ok(pose) } else { Err("the pose is not finite".to_owned()) }
+    if is_finite(&pose) { Ok(pose) } else { Err(Problem::NotFinite) }
 }
 
 fn parse_mount(text: &str) -> Option<Mount> {

@@ -10,7 +10,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions, Writer};
 use prost::Message;
 
-use super::super::{Error, Event, io_error, replay};
+use super::super::file::{Error, io_error};
+use super::super::{DriveEvent, replay};
 use super::{messages, schema, topic};
 
 const LOG: &str = "echofix/log/v1/drive.proto";
@@ -19,14 +20,14 @@ const FIX: &str = "foxglove/location_fix.proto";
 pub(in super::super) fn write(path: &Path, drive: &Drive) -> Result<(), Error> {
     let part = path.with_extension("mcap.part");
     let file = File::create(&part).map_err(|e| io_error(&part, e))?;
-    Log::start(file, drive).and_then(|log| log.fill(drive)).map_err(|error| match error {
+    LogWriter::start(file, drive).and_then(|log| log.fill(drive)).map_err(|error| match error {
         McapError::Io(source) => io_error(&part, source),
         other => Error::Unwritable(other.to_string()),
     })?;
     std::fs::rename(&part, path).map_err(|e| io_error(path, e))
 }
 
-struct Log {
+struct LogWriter {
     writer: Writer<BufWriter<File>>,
     scans: u16,
     odometry: u16,
@@ -35,7 +36,7 @@ struct Log {
     truth: [u16; 2],
 }
 
-impl Log {
+impl LogWriter {
     fn start(file: File, drive: &Drive) -> McapResult<Self> {
         let options = WriteOptions::new().compression(Some(Compression::Zstd)).profile("echofix");
         let mut writer = options.create(BufWriter::new(file))?;
@@ -61,12 +62,12 @@ impl Log {
         for event in replay(drive) {
             let time_us = event.time_us();
             match event {
-                Event::Scan(scan) => self.put(self.scans, time_us, &messages::scan(scan))?,
-                Event::Odometry(_, pose) => {
+                DriveEvent::Scan(scan) => self.put(self.scans, time_us, &messages::scan(scan))?,
+                DriveEvent::Odometry(_, pose) => {
                     self.put(self.odometry, time_us, &messages::odometry(time_us, pose))?;
                 }
-                Event::Reference(pose) | Event::Truth(pose) => {
-                    let is_truth = matches!(event, Event::Truth(_));
+                DriveEvent::Reference(pose) | DriveEvent::Truth(pose) => {
+                    let is_truth = matches!(event, DriveEvent::Truth(_));
                     let [exact, fix] = if is_truth { self.truth } else { self.reference };
                     self.put(exact, time_us, &messages::geodetic(pose))?;
                     self.put(fix, time_us, &messages::location_fix(pose))?;

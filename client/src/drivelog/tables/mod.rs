@@ -17,13 +17,13 @@
 //! `radial_speed_mps` (positive away from the sensor) and `rcs_dbsm` may be missing as columns, or
 //! empty in all rows of a scan. A row without range and azimuth is a scan that detected nothing.
 
-mod file;
-pub(crate) use file::Table;
 mod read;
 mod row;
+mod table;
 mod write;
 
 pub(super) use read::read;
+pub(crate) use table::Table;
 pub(super) use write::write;
 
 const SENSORS: [&str; 4] = ["sensor", "x_m", "y_m", "yaw_rad"];

@@ -7,9 +7,10 @@ use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 
-use super::super::{Error, is_finite};
-use super::file::Table;
+use super::super::Problem;
+use super::super::file::{Error, is_finite};
 use super::row;
+use super::table::Table;
 
 pub(in super::super) fn read(folder: &Path) -> Result<Drive, Error> {
     let required =
@@ -30,7 +31,7 @@ pub(in super::super) fn read(folder: &Path) -> Result<Drive, Error> {
 fn vehicle(folder: &Path) -> Result<String, Error> {
     let mut vehicle = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     if let Some(table) = Table::find(folder, "drive.csv")? {
-        table.rows(&["vehicle"], |row: row::Vehicle| {
+        table.rows(&["vehicle"], |row: row::VehicleRow| {
             vehicle = row.vehicle;
             Ok(())
         })?;
@@ -40,9 +41,9 @@ fn vehicle(folder: &Path) -> Result<String, Error> {
 
 fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
     let mut mounts = Vec::new();
-    table.rows(&super::SENSORS, |row: row::Sensor| {
+    table.rows(&super::SENSORS, |row: row::SensorRow| {
         if row.index != mounts.len() {
-            return Err(format!("expected sensor {}; sensors count from 0, one row each", mounts.len()));
+            return Err(Problem::SensorOrder { expected: mounts.len() });
         }
         let mount = Pose2::new(row.x_m, row.y_m, row.yaw_rad);
         finite(mount.is_finite())?;
@@ -54,10 +55,10 @@ fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
 
 fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
     let mut scans: Vec<Scan> = Vec::new();
-    table.rows(&super::SCANS[..4], |row: row::Detection| {
-        let row::Detection { time_us, sensor, .. } = row;
+    table.rows(&super::SCANS[..4], |row: row::DetectionRow| {
+        let row::DetectionRow { time_us, sensor, .. } = row;
         if sensor >= sensors {
-            return Err(format!("sensor {sensor} is not in sensors.csv, which has {sensors}"));
+            return Err(Problem::UnknownSensor { sensor, sensors });
         }
         let continues = scans.last().is_some_and(|s| (s.time_us, s.sensor) == (time_us, sensor));
         if !continues {
@@ -69,29 +70,26 @@ fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
 }
 
 /// Adds a detection, minding that the optional columns are whole or empty.
-fn add(scan: &mut Scan, row: &row::Detection) -> Result<(), String> {
+fn add(scan: &mut Scan, row: &row::DetectionRow) -> Result<(), Problem> {
     let (range_m, azimuth_rad) = match (row.range_m, row.azimuth_rad) {
         (Some(range_m), Some(azimuth_rad)) => (range_m, azimuth_rad),
         (None, None) if scan.is_empty() => return Ok(()),
-        _ => {
-            return Err(
-                "range_m and azimuth_rad must both be given, or both be empty in a scan's only row".into()
-            );
-        }
+        _ => return Err(Problem::HalfADetection),
     };
     let optional = [("radial_speed_mps", row.radial_speed_mps), ("rcs_dbsm", row.rcs_dbsm)];
     let values = [range_m, azimuth_rad, optional[0].1.unwrap_or(0.0), optional[1].1.unwrap_or(0.0)];
     finite(values.iter().all(|v| v.is_finite()))?;
     if range_m < 0.0 {
-        return Err(format!("range_m is {range_m}; ranges are distances from the sensor"));
+        return Err(Problem::NegativeRange { range_m });
     }
     let before = scan.len();
-    for ((name, value), column) in optional.into_iter().zip([&mut scan.radial_speed_mps, &mut scan.rcs_dbsm])
+    for ((column, value), values) in
+        optional.into_iter().zip([&mut scan.radial_speed_mps, &mut scan.rcs_dbsm])
     {
-        if before > 0 && value.is_some() == column.is_empty() {
-            return Err(format!("{name} must be given in all rows of a scan or in none"));
+        if before > 0 && value.is_some() == values.is_empty() {
+            return Err(Problem::PartialColumn { column });
         }
-        column.extend(value);
+        values.extend(value);
     }
     scan.range_m.push(range_m);
     scan.azimuth_rad.push(azimuth_rad);
@@ -100,16 +98,14 @@ fn add(scan: &mut Scan, row: &row::Detection) -> Result<(), String> {
 
 fn odometry(table: &Table) -> Result<Trajectory, Error> {
     let mut odometry = Trajectory::default();
-    table.rows(&super::ODOMETRY, |row: row::Odometry| {
-        odometry.push(row.time_us, row.pose()).map_err(|e| e.to_string())
-    })?;
+    table.rows(&super::ODOMETRY, |row: row::OdometryRow| Ok(odometry.push(row.time_us, row.pose())?))?;
     Ok(odometry)
 }
 
 fn poses(folder: &Path, name: &str) -> Result<Vec<GeoPose>, Error> {
     let mut poses = Vec::new();
     let Some(table) = Table::find(folder, name)? else { return Ok(poses) };
-    table.rows(&super::GEODETIC, |row: row::Geodetic| {
+    table.rows(&super::GEODETIC, |row: row::GeodeticRow| {
         let pose = GeoPose::from(&row);
         finite(is_finite(&pose))?;
         poses.push(pose);
@@ -118,8 +114,8 @@ fn poses(folder: &Path, name: &str) -> Result<Vec<GeoPose>, Error> {
     Ok(poses)
 }
 
-fn finite(is_finite: bool) -> Result<(), String> {
-    if is_finite { Ok(()) } else { Err("a value is not a finite number; leave such rows out".into()) }
+fn finite(is_finite: bool) -> Result<(), Problem> {
+    if is_finite { Ok(()) } else { Err(Problem::NotFinite) }
 }
 
 #[cfg(test)]

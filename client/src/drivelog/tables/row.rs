@@ -6,12 +6,12 @@ use echofix_core::pose::Pose2;
 use serde::{Deserialize, Serialize};
 
 #[derive(Serialize, Deserialize)]
-pub(super) struct Vehicle {
+pub(super) struct VehicleRow {
     pub vehicle: String,
 }
 
 #[derive(Serialize, Deserialize)]
-pub(super) struct Sensor {
+pub(super) struct SensorRow {
     #[serde(rename = "sensor")]
     pub index: usize,
     pub x_m: f64,
@@ -20,7 +20,7 @@ pub(super) struct Sensor {
 }
 
 #[derive(Serialize, Deserialize)]
-pub(super) struct Detection {
+pub(super) struct DetectionRow {
     pub time_us: i64,
     pub sensor: usize,
     pub range_m: Option<f32>,
@@ -32,14 +32,14 @@ pub(super) struct Detection {
 }
 
 #[derive(Serialize, Deserialize)]
-pub(super) struct Odometry {
+pub(super) struct OdometryRow {
     pub time_us: i64,
     pub x_m: f64,
     pub y_m: f64,
     pub yaw_rad: f64,
 }
 
-impl Odometry {
+impl OdometryRow {
     pub(super) fn new(time_us: i64, Pose2 { x_m, y_m, yaw_rad }: Pose2) -> Self {
         Self { time_us, x_m, y_m, yaw_rad }
     }
@@ -50,7 +50,7 @@ impl Odometry {
 }
 
 #[derive(Serialize, Deserialize)]
-pub(super) struct Geodetic {
+pub(super) struct GeodeticRow {
     pub time_us: i64,
     pub latitude_deg: f64,
     pub longitude_deg: f64,
@@ -59,7 +59,7 @@ pub(super) struct Geodetic {
     pub sigma_yaw_rad: f64,
 }
 
-impl From<&GeoPose> for Geodetic {
+impl From<&GeoPose> for GeodeticRow {
     fn from(pose: &GeoPose) -> Self {
         Self {
             time_us: pose.time_us,
@@ -72,8 +72,8 @@ impl From<&GeoPose> for Geodetic {
     }
 }
 
-impl From<&Geodetic> for GeoPose {
-    fn from(row: &Geodetic) -> Self {
+impl From<&GeodeticRow> for GeoPose {
+    fn from(row: &GeodeticRow) -> Self {
         Self {
             time_us: row.time_us,
             at: LatLon { lat_deg: row.latitude_deg, lon_deg: row.longitude_deg },

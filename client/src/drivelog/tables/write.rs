@@ -5,34 +5,34 @@ use std::path::Path;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::scan::Scan;
 
-use super::super::{Error, io_error};
-use super::{file, row};
+use super::super::file::{Error, io_error};
+use super::{row, table};
 
 pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error> {
     two_scans_at_once(&drive.scans)?;
     std::fs::create_dir_all(folder).map_err(|e| io_error(folder, e))?;
-    file::write(folder, "drive.csv", &["vehicle"], [row::Vehicle { vehicle: drive.vehicle.clone() }])?;
-    let sensors = drive.mounts.iter().enumerate().map(|(index, m)| row::Sensor {
+    table::write(folder, "drive.csv", &["vehicle"], [row::VehicleRow { vehicle: drive.vehicle.clone() }])?;
+    let sensors = drive.mounts.iter().enumerate().map(|(index, m)| row::SensorRow {
         index,
         x_m: m.x_m,
         y_m: m.y_m,
         yaw_rad: m.yaw_rad,
     });
-    file::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
-    file::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
-    let odometry = drive.odometry.iter().map(|(time_us, pose)| row::Odometry::new(time_us, pose));
-    file::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
+    table::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
+    table::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
+    let odometry = drive.odometry.iter().map(|(time_us, pose)| row::OdometryRow::new(time_us, pose));
+    table::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
     poses(folder, "reference.csv", &drive.reference)?;
     poses(folder, "truth.csv", &drive.truth)
 }
 
 fn poses(folder: &Path, name: &str, poses: &[GeoPose]) -> Result<(), Error> {
-    file::write(folder, name, &super::GEODETIC, poses.iter().map(row::Geodetic::from))
+    table::write(folder, name, &super::GEODETIC, poses.iter().map(row::GeodeticRow::from))
 }
 
 /// One row a detection; one without detections for an empty scan.
-fn detections(scan: &Scan) -> impl Iterator<Item = row::Detection> + '_ {
-    (0..scan.len().max(1)).map(|i| row::Detection {
+fn detections(scan: &Scan) -> impl Iterator<Item = row::DetectionRow> + '_ {
+    (0..scan.len().max(1)).map(|i| row::DetectionRow {
         time_us: scan.time_us,
         sensor: scan.sensor,
         range_m: scan.range_m.get(i).copied(),

@@ -4,18 +4,18 @@ use super::*;
 use crate::filter::config::{FixNoise, OdometryNoise};
 use proptest::prelude::*;
 
-fn config() -> Config {
-    Config::default()
+fn config() -> FilterConfig {
+    FilterConfig::default()
 }
 
 /// A fix with the same sigma along both axes.
-fn fix(pose: Pose2, sigma_m: f64, sigma_rad: f64, config: &Config) -> LocalFix {
+fn fix(pose: Pose2, sigma_m: f64, sigma_rad: f64, config: &FilterConfig) -> LocalFix {
     let covariance = Matrix3::from_diagonal(&Vector3::new(sigma_m, sigma_m, sigma_rad).map(|s| s * s));
     LocalFix::new(0, (pose, &covariance), &Pose2::IDENTITY, &config.fixes)
 }
 
-fn step(time_s: f64, x_m: f64, yaw_rad: f64) -> Step {
-    Step { time_s, moved: Pose2::new(x_m, 0.0, yaw_rad) }
+fn step(time_s: f64, x_m: f64, yaw_rad: f64) -> OdometryStep {
+    OdometryStep { time_s, moved: Pose2::new(x_m, 0.0, yaw_rad) }
 }
 
 fn sigma_x_m(belief: &Belief) -> f64 {
@@ -23,7 +23,7 @@ fn sigma_x_m(belief: &Belief) -> f64 {
 }
 
 /// Drives and takes a perfect fix after each step.
-fn followed(count: usize, odometry: &Step, truth: &Pose2, config: &Config) -> (Belief, Pose2) {
+fn followed(count: usize, odometry: &OdometryStep, truth: &Pose2, config: &FilterConfig) -> (Belief, Pose2) {
     let mut pose = Pose2::IDENTITY;
     let mut belief = Belief::from_fix(&fix(pose, 0.13, 0.002, config), config);
     for _ in 0..count {
@@ -60,8 +60,8 @@ fn scale_and_yaw_rate_are_learnt() {
 fn fixes_of_one_batch_are_no_more_than_one() {
     let sigma_m = |interval_s: f64| {
         let still =
-            Config { odometry: OdometryNoise { walk_m: 0.0, ..OdometryNoise::default() }, ..config() };
-        let none = Config { fixes: FixNoise { map_m: 0.0, ..FixNoise::default() }, ..still };
+            FilterConfig { odometry: OdometryNoise { walk_m: 0.0, ..OdometryNoise::default() }, ..config() };
+        let none = FilterConfig { fixes: FixNoise { map_m: 0.0, ..FixNoise::default() }, ..still };
         let (belief, _) = followed(4, &step(interval_s, 0.0, 0.0), &Pose2::IDENTITY, &none);
         sigma_x_m(&belief)
     };
@@ -71,7 +71,7 @@ fn fixes_of_one_batch_are_no_more_than_one() {
 
 #[test]
 fn the_map_s_own_error_is_not_averaged_away() {
-    // For hours at one place.
+    // For hours at one position.
     let (belief, _) = followed(2000, &step(10.0, 0.0, 0.0), &Pose2::IDENTITY, &config());
     assert!(sigma_x_m(&belief) > 0.98 * config().fixes.map_m, "{}", sigma_x_m(&belief));
 }
@@ -104,9 +104,9 @@ proptest! {
             walk_m: 0.0, walk_rad: 0.0, scale_time_s: f64::INFINITY, yaw_rate_time_s: f64::INFINITY,
             ..OdometryNoise::default()
         };
-        let config = Config { odometry, ..config() };
+        let config = FilterConfig { odometry, ..config() };
         let belief = Belief::from_fix(&fix(start, 0.1, 0.01, &config), &config);
-        let way = Step { time_s, moved };
+        let way = OdometryStep { time_s, moved };
         let carried = belief.carried(&way, &config).unwrap();
         let mut expected = Matrix3::zeros();
         let root = belief.covariance.cholesky().unwrap().l();

@@ -15,7 +15,7 @@ fn fixes() -> impl Strategy<Value = Vec<FixMeasurement>> {
 
 /// What may happen to a filter.
 #[derive(Debug, Clone)]
-enum Event {
+enum FilterEvent {
     Odometry { after_us: i64, moved: Pose2 },
     Fix { before_us: i64, off: Pose2, covariance: [f64; 6], contains_prior: bool },
     Teleport(LatLon),
@@ -33,35 +33,40 @@ fn covariance() -> impl Strategy<Value = [f64; 6]> {
     prop_oneof![30 => ordered, 1 => proptest::array::uniform6(value(1.0))]
 }
 
-fn event() -> impl Strategy<Value = Event> {
+fn event() -> impl Strategy<Value = FilterEvent> {
     let time =
         prop_oneof![900 => 1_i64..200_000, 20 => 0..60_000_000_i64, 5 => Just(-1), 1 => Just(i64::MAX / 4)];
     let odometry = (time, value(1.0), value(0.1), value(0.1))
-        .prop_map(|(after_us, x, y, yaw)| Event::Odometry { after_us, moved: Pose2::new(x, y, yaw) });
+        .prop_map(|(after_us, x, y, yaw)| FilterEvent::Odometry { after_us, moved: Pose2::new(x, y, yaw) });
     let past = prop_oneof![30 => 0..2_000_000_i64, 5 => 0..12_000_000_i64, 1 => any::<i64>()];
     let fix = (past, value(0.2), value(0.2), value(0.02), covariance(), proptest::bool::weighted(0.1))
-        .prop_map(|(before_us, x, y, yaw, covariance, contains_prior)| Event::Fix {
+        .prop_map(|(before_us, x, y, yaw, covariance, contains_prior)| FilterEvent::Fix {
             before_us,
             off: Pose2::new(x, y, yaw),
             covariance,
             contains_prior,
         });
     let teleport = (-91.0..91.0_f64, -181.0..181.0_f64)
-        .prop_map(|(lat, lon)| Event::Teleport(LatLon { lat_deg: lat, lon_deg: lon }));
+        .prop_map(|(lat, lon)| FilterEvent::Teleport(LatLon { lat_deg: lat, lon_deg: lon }));
     prop_oneof![200 => odometry, 100 => fix, 1 => teleport]
 }
 
 /// Lets an event happen to a vehicle that is where odometry says, seen from an origin.
-fn happen(filter: &mut Filter, event: &Event, (time_us, odometry): &mut (i64, Pose2), origin: &mut LatLon) {
+fn happen(
+    filter: &mut Filter,
+    event: &FilterEvent,
+    (time_us, odometry): &mut (i64, Pose2),
+    origin: &mut LatLon,
+) {
     match *event {
-        Event::Teleport(at) => *origin = at,
-        Event::Odometry { after_us, moved } => {
+        FilterEvent::Teleport(at) => *origin = at,
+        FilterEvent::Odometry { after_us, moved } => {
             let (next_us, next) = (time_us.saturating_add(after_us), odometry.compose(&moved));
             if !matches!(filter.push_odometry(next_us, next), Err(Error::Odometry(_))) {
                 (*time_us, *odometry) = (next_us, next);
             }
         }
-        Event::Fix { before_us, off, covariance, contains_prior } => {
+        FilterEvent::Fix { before_us, off, covariance, contains_prior } => {
             let seen = odometry.compose(&off);
             let lat_deg = origin.lat_deg + seen.y_m / 111_000.0;
             let at = LatLon { lat_deg, lon_deg: origin.lon_deg + seen.x_m / 55_000.0 };
@@ -74,8 +79,9 @@ fn happen(filter: &mut Filter, event: &Event, (time_us, odometry): &mut (i64, Po
     }
 }
 
-fn is_sound(estimate: &Estimate) -> bool {
-    let Estimate { pose, covariance: [xx, xy, xt, yy, yt, tt], fix_age_s, odometry_scale, .. } = *estimate;
+fn is_sound(estimate: &FilterEstimate) -> bool {
+    let FilterEstimate { pose, covariance: [xx, xy, xt, yy, yt, tt], fix_age_s, odometry_scale, .. } =
+        *estimate;
     let covariance = nalgebra::Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
     let numbers = [pose.yaw_rad, pose.sigma_position_m, pose.sigma_yaw_rad, fix_age_s, odometry_scale.0];
     numbers.iter().chain(covariance.iter()).all(|v| v.is_finite())
@@ -95,7 +101,7 @@ proptest! {
             shuffled.swap(i, pick.index(14));
         }
         let arrived = |fixes: &[FixMeasurement]| {
-            let mut filter = Filter::new(Config::default());
+            let mut filter = Filter::new(FilterConfig::default());
             drive(&mut filter, (0.0, 10.0));
             for fix in fixes {
                 filter.push_fix(fix).unwrap();
@@ -118,7 +124,7 @@ proptest! {
     fn waiting_for_fixes_changes_nothing(fixes in fixes(), late_s in 0.0..3.0_f64) {
         // Fixes late by seconds, while odometry runs on, end where prompt ones do.
         let arrived = |late_s: f64| {
-            let mut filter = Filter::new(Config::default());
+            let mut filter = Filter::new(FilterConfig::default());
             for tick in 0..=260_i64 {
                 let seconds = 0.05 * tick as f64;
                 drive(&mut filter, (seconds, seconds));
@@ -131,7 +137,7 @@ proptest! {
             }
             filter.pose()
         };
-        let sigma_m = |e: Option<Estimate>| e.map_or(0.0, |e| e.pose.sigma_position_m);
+        let sigma_m = |e: Option<FilterEstimate>| e.map_or(0.0, |e| e.pose.sigma_position_m);
         let (prompt, late) = (arrived(0.0), arrived(late_s));
         prop_assert_eq!(prompt.is_some(), late.is_some());
         prop_assert!((sigma_m(prompt) - sigma_m(late)).abs() < 1e-6, "{prompt:?} {late:?}");
@@ -142,7 +148,7 @@ proptest! {
         events in proptest::collection::vec(event(), 1..300),
         lat_deg in -79.0..83.0_f64, lon_deg in -180.0..180.0_f64,
     ) {
-        let mut filter = Filter::new(Config::default());
+        let mut filter = Filter::new(FilterConfig::default());
         let mut vehicle = (T0, Pose2::IDENTITY);
         let mut origin = LatLon { lat_deg, lon_deg };
         for event in events {

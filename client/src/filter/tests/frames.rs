@@ -6,8 +6,8 @@ use echofix_core::geo::Zone;
 /// Drives due east for two minutes at 30 m/s, a perfect fix every second, and gives the largest
 /// error.
 fn largest_error_m(start: LatLon) -> (f64, Filter) {
-    let truth = Frame::around(start).unwrap();
-    let mut filter = Filter::new(Config::default());
+    let truth = LocalPlane::around(start).unwrap();
+    let mut filter = Filter::new(FilterConfig::default());
     let mut largest_m = 0.0_f64;
     for tick in 0..2400_i64 {
         let pose = Pose2::new(1.5 * tick as f64, 0.0, 0.0);
@@ -40,15 +40,16 @@ fn a_zone_border_is_not_noticed() {
 
 #[test]
 fn the_equator_is_not_noticed() {
-    let mut filter = Filter::new(Config::default());
-    let truth = Frame::around(LatLon { lat_deg: -0.001, lon_deg: 10.0 }).unwrap();
+    let mut filter = Filter::new(FilterConfig::default());
+    let truth = LocalPlane::around(LatLon { lat_deg: -0.001, lon_deg: 10.0 }).unwrap();
     for second in 0..300_i64 {
         let pose = Pose2::new(0.0, 20.0 * second as f64, FRAC_PI_2);
         filter.push_odometry(T0 + 1_000_000 * second, pose).unwrap();
         let (at, yaw_rad) = truth.geodetic(&pose).unwrap();
         let fix = FixMeasurement { time_us: T0 + 1_000_000 * second, at, yaw_rad, ..fix(0.0, [0.0; 2]) };
         let outcome = filter.push_fix(&fix).unwrap();
-        let expected = matches!(outcome, Outcome::Waiting { .. } | Outcome::Started | Outcome::Used { .. });
+        let expected =
+            matches!(outcome, FixOutcome::Waiting { .. } | FixOutcome::Started | FixOutcome::Used { .. });
         assert!(expected, "{second}: {outcome:?}");
     }
     assert!(filter.pose().unwrap().pose.at.lat_deg > 0.04);
@@ -56,10 +57,10 @@ fn the_equator_is_not_noticed() {
 
 #[test]
 fn a_first_fix_on_another_continent_is_left_behind() {
-    let mut filter = Filter::new(Config::default());
+    let mut filter = Filter::new(FilterConfig::default());
     drive(&mut filter, (0.0, 10.0));
     let lost = FixMeasurement { at: LatLon { lat_deg: -33.0, lon_deg: 151.0 }, ..fix(5.0, [0.0; 2]) };
-    assert_eq!(filter.push_fix(&lost), Ok(Outcome::Waiting { agreeing: 1 }));
+    assert_eq!(filter.push_fix(&lost), Ok(FixOutcome::Waiting { agreeing: 1 }));
     for seconds in [6.0, 7.0, 8.0] {
         filter.push_fix(&fix(seconds, [0.0; 2])).unwrap();
     }

@@ -20,8 +20,8 @@ fn at_s(seconds: f64) -> i64 {
 }
 
 /// Where a vehicle is that drives due true east from the start, moved by some metres.
-fn place(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
-    let frame = Frame::around(START).unwrap();
+fn position(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
+    let frame = LocalPlane::around(START).unwrap();
     frame.geodetic(&Pose2::new(SPEED_MPS * seconds + x_m, y_m, 0.0)).unwrap().0
 }
 
@@ -29,7 +29,7 @@ fn place(seconds: f64, [x_m, y_m]: [f64; 2]) -> LatLon {
 fn fix(seconds: f64, off_m: [f64; 2]) -> FixMeasurement {
     FixMeasurement {
         time_us: at_s(seconds),
-        at: place(seconds, off_m),
+        at: position(seconds, off_m),
         yaw_rad: 0.0,
         covariance: [0.02, 0.0, 0.0, 0.02, 0.0, 3e-6],
         contains_prior: false,
@@ -48,13 +48,13 @@ fn drive(filter: &mut Filter, (from_s, to_s): (f64, f64)) {
 
 /// A filter some way into the drive that has had three good fixes.
 fn started() -> Filter {
-    let mut filter = Filter::new(Config::default());
+    let mut filter = Filter::new(FilterConfig::default());
     drive(&mut filter, (0.0, 10.0));
     for seconds in [6.0, 7.0] {
-        assert!(matches!(filter.push_fix(&fix(seconds, [0.0; 2])), Ok(Outcome::Waiting { .. })));
+        assert!(matches!(filter.push_fix(&fix(seconds, [0.0; 2])), Ok(FixOutcome::Waiting { .. })));
         assert_eq!(filter.pose(), None);
     }
-    assert_eq!(filter.push_fix(&fix(8.0, [0.0; 2])), Ok(Outcome::Started));
+    assert_eq!(filter.push_fix(&fix(8.0, [0.0; 2])), Ok(FixOutcome::Started));
     filter
 }
 
@@ -62,7 +62,7 @@ fn started() -> Filter {
 fn error_m(filter: &Filter, seconds: f64) -> [f64; 2] {
     let grid = Grid::of(START).unwrap();
     let [a, b] =
-        [filter.pose().unwrap().pose.at, place(seconds, [0.0; 2])].map(|at| grid.project(at).unwrap());
+        [filter.pose().unwrap().pose.at, position(seconds, [0.0; 2])].map(|at| grid.project(at).unwrap());
     [a[0] - b[0], a[1] - b[1]]
 }
 
@@ -85,23 +85,23 @@ fn a_wrong_fix_is_kept_out_and_said_to_be() {
     let mut filter = started();
     let before = filter.pose().unwrap();
     let outcome = filter.push_fix(&fix(9.0, [0.0, 3.0])).unwrap();
-    assert!(matches!(outcome, Outcome::Gated { nis, agreeing: 1 } if nis > 100.0), "{outcome:?}");
+    assert!(matches!(outcome, FixOutcome::Gated { nis, agreeing: 1 } if nis > 100.0), "{outcome:?}");
     let after = filter.pose().unwrap();
-    assert_eq!(after, Estimate { contradicting: 1, ..before });
-    assert!(matches!(filter.push_fix(&fix(9.5, [0.0; 2])), Ok(Outcome::Used { nis }) if nis < 3.0));
+    assert_eq!(after, FilterEstimate { contradicting: 1, ..before });
+    assert!(matches!(filter.push_fix(&fix(9.5, [0.0; 2])), Ok(FixOutcome::Used { nis }) if nis < 3.0));
     assert_eq!(filter.pose().unwrap().contradicting, 0);
 }
 
 #[test]
 fn a_wrong_first_fix_does_not_start_it() {
-    let mut filter = Filter::new(Config::default());
+    let mut filter = Filter::new(FilterConfig::default());
     drive(&mut filter, (0.0, 10.0));
     let outcomes = [(5.0, [0.0, 5.0]), (6.0, [0.0; 2]), (7.0, [-4.0, 0.0]), (8.0, [0.0; 2]), (9.0, [0.0; 2])]
         .map(|(seconds, off_m)| filter.push_fix(&fix(seconds, off_m)).unwrap());
     // A fix that disagrees starts the count again.
-    assert_eq!(outcomes, [1, 1, 1, 1, 2].map(|agreeing| Outcome::Waiting { agreeing }));
+    assert_eq!(outcomes, [1, 1, 1, 1, 2].map(|agreeing| FixOutcome::Waiting { agreeing }));
     drive(&mut filter, (10.05, 11.0));
-    assert_eq!(filter.push_fix(&fix(10.0, [0.0; 2])), Ok(Outcome::Started));
+    assert_eq!(filter.push_fix(&fix(10.0, [0.0; 2])), Ok(FixOutcome::Started));
 }
 
 #[test]
@@ -111,11 +111,11 @@ fn fixes_in_a_row_that_agree_overrule_it_in_time() {
         let seconds = 9.0 + f64::from(second);
         drive(&mut filter, (seconds + 1.05, seconds + 2.0));
         let outcome = filter.push_fix(&fix(seconds, [0.0, 3.0])).unwrap();
-        assert!(matches!(outcome, Outcome::Gated { .. }), "{second}: {outcome:?}");
+        assert!(matches!(outcome, FixOutcome::Gated { .. }), "{second}: {outcome:?}");
     }
     assert_eq!(filter.pose().unwrap().contradicting, 10);
     drive(&mut filter, (20.05, 21.0));
-    assert!(matches!(filter.push_fix(&fix(19.0, [0.0, 3.0])), Ok(Outcome::Reset { .. })));
+    assert!(matches!(filter.push_fix(&fix(19.0, [0.0, 3.0])), Ok(FixOutcome::Reset { .. })));
     let [east, north] = error_m(&filter, 21.0);
     assert!(east.abs() < 0.1 && (north - 3.0).abs() < 0.1, "{east} {north}");
 }
@@ -128,7 +128,7 @@ fn wrong_fixes_that_disagree_never_overrule_it() {
         drive(&mut filter, (seconds + 1.05, seconds + 2.0));
         let aside = if second % 2 == 0 { 4.0 } else { -4.0 };
         let outcome = filter.push_fix(&fix(seconds, [0.0, aside])).unwrap();
-        assert!(matches!(outcome, Outcome::Gated { agreeing: 1 | 2, .. }), "{second}: {outcome:?}");
+        assert!(matches!(outcome, FixOutcome::Gated { agreeing: 1 | 2, .. }), "{second}: {outcome:?}");
     }
     assert!(error_m(&filter, 30.0)[1].abs() < 0.5);
 }
@@ -138,22 +138,25 @@ fn a_fix_that_holds_this_filter_s_own_prior_is_not_counted_twice() {
     let mut filter = started();
     let before = filter.pose();
     let own = FixMeasurement { contains_prior: true, ..fix(9.0, [0.0; 2]) };
-    assert_eq!(filter.push_fix(&own), Ok(Outcome::HoldsOwnPrior));
+    assert_eq!(filter.push_fix(&own), Ok(FixOutcome::HoldsOwnPrior));
     assert_eq!(filter.pose(), before);
     let gnss = FixMeasurement { prior: PriorSource::Independent, ..own };
-    assert!(matches!(filter.push_fix(&gnss), Ok(Outcome::Used { .. })));
+    assert!(matches!(filter.push_fix(&gnss), Ok(FixOutcome::Used { .. })));
 }
 
 #[test]
 fn what_the_history_does_not_cover_is_refused() {
-    assert_eq!(Filter::new(Config::default()).push_fix(&fix(0.0, [0.0; 2])), Ok(Outcome::AheadOfOdometry));
+    assert_eq!(
+        Filter::new(FilterConfig::default()).push_fix(&fix(0.0, [0.0; 2])),
+        Ok(FixOutcome::AheadOfOdometry)
+    );
     let mut filter = started();
     drive(&mut filter, (10.05, 30.0));
-    assert_eq!(filter.push_fix(&fix(30.1, [0.0; 2])), Ok(Outcome::AheadOfOdometry));
+    assert_eq!(filter.push_fix(&fix(30.1, [0.0; 2])), Ok(FixOutcome::AheadOfOdometry));
     // Its middle is 10.5 s ago.
-    assert!(matches!(filter.push_fix(&fix(22.0, [0.0; 2])), Ok(Outcome::TooOld { .. })));
-    assert!(matches!(filter.push_fix(&fix(23.0, [0.0; 2])), Ok(Outcome::Used { .. })));
-    assert_eq!(filter.push_fix(&fix(23.0, [0.0; 2])), Ok(Outcome::Duplicate));
+    assert!(matches!(filter.push_fix(&fix(22.0, [0.0; 2])), Ok(FixOutcome::TooOld { .. })));
+    assert!(matches!(filter.push_fix(&fix(23.0, [0.0; 2])), Ok(FixOutcome::Used { .. })));
+    assert_eq!(filter.push_fix(&fix(23.0, [0.0; 2])), Ok(FixOutcome::Duplicate));
 }
 
 #[test]
@@ -188,7 +191,7 @@ fn odometry_that_is_none_is_refused_and_a_jump_starts_over() {
     let jump = filter.push_odometry(at_s(10.1), Pose2::new(7.0, 500.0, 0.0));
     assert!(matches!(jump, Err(Error::Jumped { distance_m, .. }) if (distance_m - 400.0).abs() < 1.0));
     assert_eq!(filter.pose(), None);
-    assert_eq!(filter.push_fix(&fix(9.0, [0.0; 2])), Ok(Outcome::TooOld { oldest_us: at_s(10.1) }));
+    assert_eq!(filter.push_fix(&fix(9.0, [0.0; 2])), Ok(FixOutcome::TooOld { oldest_us: at_s(10.1) }));
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! A recorder on a straight drive east at 30 degrees north.
 
 use super::*;
-use crate::testing::T0;
-use crate::wire;
+use crate::testing::{T0, decode};
 use echofix_core::geo::LatLon;
 
 const METRES_PER_DEGREE: f64 = 96_486.0;
@@ -23,16 +22,17 @@ fn scan(ms: i64) -> Scan {
 }
 
 /// Records a trip to its very ends.
-fn whole() -> Config {
-    Config { trim_ends_m: 0.0, ..Config::default() }
+fn whole() -> RecorderConfig {
+    RecorderConfig { trim_ends_m: 0.0, ..RecorderConfig::default() }
 }
 
-fn recorder(config: Config) -> Recorder {
-    Recorder::new(Config { form: Form::Scans, ..config }, "car-1", vec![Mount::IDENTITY]).unwrap()
+fn recorder(config: RecorderConfig) -> Recorder {
+    Recorder::new(RecorderConfig { form: UploadForm::Scans, ..config }, "car-1", vec![Mount::IDENTITY])
+        .unwrap()
 }
 
 /// Poses every 0.1 s at 10 m/s, changed by `edit`, and a scan 50 ms after each.
-fn record(recorder: &mut Recorder, tenths: i64, edit: impl Fn(i64, &mut GeoPose)) -> Vec<Upload> {
+fn record(recorder: &mut Recorder, tenths: i64, edit: impl Fn(i64, &mut GeoPose)) -> Vec<PreparedUpload> {
     let mut uploads = Vec::new();
     for i in 0..=tenths {
         let mut p = pose(i * 100, i as f64);
@@ -43,12 +43,12 @@ fn record(recorder: &mut Recorder, tenths: i64, edit: impl Fn(i64, &mut GeoPose)
     uploads
 }
 
-fn scan_times(uploads: &[Upload]) -> Vec<i64> {
+fn scan_times(uploads: &[PreparedUpload]) -> Vec<i64> {
     let mut times = Vec::new();
     for upload in uploads {
         let reference = upload.header().unwrap().reference_time_us;
         for chunk in upload.chunks() {
-            let scans = wire::scans_from(chunk.scans.as_ref().unwrap(), reference).unwrap();
+            let scans = decode::scans(chunk.scans.as_ref().unwrap(), reference);
             times.extend(scans.iter().map(|s| (s.time_us - T0) / 1000));
         }
     }
@@ -57,14 +57,14 @@ fn scan_times(uploads: &[Upload]) -> Vec<i64> {
 
 #[test]
 fn a_drive_becomes_uploads_that_hold_every_scan_once() {
-    let mut r = recorder(Config { cut_after_m: 1e9, ..whole() });
+    let mut r = recorder(RecorderConfig { cut_after_m: 1e9, ..whole() });
     let mut uploads = record(&mut r, 305, |_, _| ());
     assert_eq!(uploads.len(), 3, "30.5 s less the lateness, in pieces of 10 s");
     uploads.extend(r.finish());
     let times = scan_times(&uploads);
     let expected: Vec<i64> = (0..305).map(|i| i * 100 + 50).collect();
     assert_eq!(times, expected, "the last scan is beyond the last pose");
-    assert!(uploads.is_sorted_by_key(Upload::id));
+    assert!(uploads.is_sorted_by_key(PreparedUpload::id));
     let header = uploads[0].header().unwrap();
     assert_eq!((header.contributor.as_str(), header.mounts.len()), ("car-1", 1));
     assert_eq!(header.upload_id, uploads[0].id().to_string());
@@ -72,13 +72,13 @@ fn a_drive_becomes_uploads_that_hold_every_scan_once() {
 
 #[test]
 fn a_long_way_cuts_as_well() {
-    let mut r = recorder(Config { cut_after_m: 50.0, ..whole() });
+    let mut r = recorder(RecorderConfig { cut_after_m: 50.0, ..whole() });
     assert_eq!(record(&mut r, 200, |_, _| ()).len(), 3);
 }
 
 #[test]
 fn scans_late_by_less_than_allowed_are_kept_and_later_ones_refused() {
-    let mut r = recorder(Config { cut_after_s: 1.0, ..whole() });
+    let mut r = recorder(RecorderConfig { cut_after_s: 1.0, ..whole() });
     let mut uploads = Vec::new();
     for i in 0..=30 {
         uploads.extend(r.push_pose(pose(i * 100, i as f64)).unwrap());
@@ -103,7 +103,7 @@ fn doubtful_poses_leave_a_hole_and_are_counted() {
     uploads.extend(r.finish());
     let times = scan_times(&uploads);
     assert!(times.iter().all(|t| *t <= 2900 || *t >= 4000), "{times:?}");
-    assert_eq!(uploads.iter().flat_map(Upload::chunks).count(), 2);
+    assert_eq!(uploads.iter().flat_map(PreparedUpload::chunks).count(), 2);
     assert_eq!(counted.dropped().total(), 0, "nothing is cut before the end");
 }
 
@@ -137,25 +137,25 @@ fn odometry_tells_movers_where_poses_jitter() {
 
 #[test]
 fn the_ends_of_a_trip_stay_private() {
-    let mut r = recorder(Config { trim_ends_m: 20.0, cut_after_s: 5.0, ..Config::default() });
+    let mut r = recorder(RecorderConfig { trim_ends_m: 20.0, cut_after_s: 5.0, ..RecorderConfig::default() });
     let mut uploads = record(&mut r, 200, |_, _| ());
     uploads.extend(r.finish());
     let times = scan_times(&uploads);
     assert!(times[0] >= 1950 && *times.last().unwrap() <= 18_050, "{:?}", (times[0], times.last()));
     assert!(times.len() > 150);
-    for chunk in uploads.iter().flat_map(Upload::chunks) {
+    for chunk in uploads.iter().flat_map(PreparedUpload::chunks) {
         let poses = chunk.poses.as_ref().unwrap();
         let east_m = |lon: &f64| (lon + 97.0) * METRES_PER_DEGREE;
         assert!(poses.longitude_deg.iter().map(east_m).all(|e| (19.9..=180.1).contains(&e)));
     }
 }
 
-/// Breaks when a vehicle that sets nothing tells where it was parked.
+/// Breaks when a vehicle that sets nothing shows where it was parked.
 #[test]
 fn the_ends_stay_private_unless_somebody_asks_for_them() {
-    let mut r = recorder(Config::default());
+    let mut r = recorder(RecorderConfig::default());
     assert!(record(&mut r, 95, |_, _| ()).is_empty(), "95 m from the start");
-    let mut r = recorder(Config::default());
+    let mut r = recorder(RecorderConfig::default());
     let mut uploads = record(&mut r, 400, |_, _| ());
     uploads.extend(r.finish());
     let times = scan_times(&uploads);
@@ -164,7 +164,7 @@ fn the_ends_stay_private_unless_somebody_asks_for_them() {
 
 #[test]
 fn a_parked_vehicle_has_arrived_and_holds_nothing_back() {
-    let mut r = recorder(Config { trim_ends_m: 20.0, ..Config::default() });
+    let mut r = recorder(RecorderConfig { trim_ends_m: 20.0, ..RecorderConfig::default() });
     let mut uploads = record(&mut r, 200, |_, _| ());
     for i in 201..5000 {
         // Parked 200 m on, the receiver jittering by a decimetre.
@@ -188,7 +188,7 @@ fn without_poses_scans_do_not_pile_up() {
 
 #[test]
 fn what_cannot_be_recorded_is_refused() {
-    assert!(matches!(Recorder::new(Config::default(), "", vec![]), Err(Error::Contributor(_))));
+    assert!(matches!(Recorder::new(RecorderConfig::default(), "", vec![]), Err(Error::Contributor(_))));
     let mut r = recorder(whole());
     r.push_pose(pose(0, 0.0)).unwrap();
     assert!(matches!(r.push_pose(pose(0, 0.0)), Err(Error::TooLate { .. })));
@@ -199,11 +199,11 @@ fn what_cannot_be_recorded_is_refused() {
     assert!(matches!(r.push_scan(Scan { sensor: 1, ..scan(10) }), Err(Error::UnknownSensor { .. })));
 }
 
-/// Fails when evidence is gathered from other detections than the scans that would be sent, or tells more of the
+/// Fails when evidence is built from other detections than the scans that would be sent, or shows more of the
 /// trip than the day.
 #[test]
 fn evidence_is_what_the_scans_would_have_come_to() {
-    let config = Config { trim_ends_m: 20.0, ..Config::default() };
+    let config = RecorderConfig { trim_ends_m: 20.0, ..RecorderConfig::default() };
     let mut scans = recorder(config);
     let mut evidence = Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap();
     let (mut sent, mut gathered) =
@@ -214,12 +214,11 @@ fn evidence_is_what_the_scans_would_have_come_to() {
     for (sent, gathered) in sent.iter().zip(&gathered) {
         let header = sent.header().unwrap();
         let chunk = |chunk: &echofix_proto::v1::UploadChunk| Chunk {
-            poses: wire::poses_from(chunk.poses.as_ref().unwrap(), header.reference_time_us).unwrap(),
-            scans: wire::scans_from(chunk.scans.as_ref().unwrap(), header.reference_time_us).unwrap(),
+            poses: decode::poses(chunk.poses.as_ref().unwrap(), header.reference_time_us),
+            scans: decode::scans(chunk.scans.as_ref().unwrap(), header.reference_time_us),
         };
-        let submission =
-            Submission { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
-        let expected = contribute(submission, &config.limits()).unwrap().contribution;
+        let raw = RawUpload { mounts: vec![Mount::IDENTITY], chunks: sent.chunks().map(chunk).collect() };
+        let expected = build_evidence(raw, &config.evidence()).unwrap().delta;
         assert_eq!(gathered.evidence().unwrap(), expected);
         assert_eq!(gathered.detections(), sent.detections());
         let header = gathered.header().unwrap();

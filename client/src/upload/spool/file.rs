@@ -7,12 +7,12 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::super::Damaged;
+use super::super::DamagedUpload;
 
 const MAGIC: &[u8; 8] = b"EFXSPL01";
 const HEADER: usize = 20;
 
-/// A body with what tells that it is whole.
+/// A body behind its header, by which damage is noticed.
 pub(super) fn seal(body: &[u8]) -> Vec<u8> {
     let mut contents = Vec::with_capacity(HEADER + body.len());
     contents.extend_from_slice(MAGIC);
@@ -23,18 +23,18 @@ pub(super) fn seal(body: &[u8]) -> Vec<u8> {
 }
 
 /// The body, if it is whole.
-pub(super) fn open(contents: &[u8]) -> Result<&[u8], Damaged> {
-    let (header, body) = contents.split_at_checked(HEADER).ok_or(Damaged("the file is too short"))?;
+pub(super) fn open(contents: &[u8]) -> Result<&[u8], DamagedUpload> {
+    let (header, body) = contents.split_at_checked(HEADER).ok_or(DamagedUpload("the file is too short"))?;
     let (magic, rest) = header.split_at(MAGIC.len());
     let (crc, len) = rest.split_at(4);
     if magic != MAGIC {
-        return Err(Damaged("the file does not begin as a spooled upload"));
+        return Err(DamagedUpload("the file does not begin as a spooled upload"));
     }
     if len != (body.len() as u64).to_le_bytes() {
-        return Err(Damaged("the file is not as long as it says"));
+        return Err(DamagedUpload("the file is not as long as it says"));
     }
     if crc != crc32c::crc32c(body).to_le_bytes() {
-        return Err(Damaged("the checksum does not match"));
+        return Err(DamagedUpload("the checksum does not match"));
     }
     Ok(body)
 }

@@ -24,21 +24,21 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use uuid::Uuid;
 
-use super::Upload;
+use super::PreparedUpload;
 use crate::disk;
 
 const ENDING: &str = "upload";
 
 /// How much a spool may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
+pub struct SpoolLimits {
     /// Bytes of waiting uploads.
     pub max_bytes: u64,
     /// Bytes of refused and of damaged uploads, each.
     pub max_set_aside_bytes: u64,
 }
 
-impl Default for Limits {
+impl Default for SpoolLimits {
     /// A gigabyte waiting (some days of driving), 64 MiB each set aside.
     fn default() -> Self {
         Self { max_bytes: 1 << 30, max_set_aside_bytes: 64 << 20 }
@@ -55,25 +55,25 @@ pub enum Error {
          again, or raise the limit", .dir.display()
     )]
     Full {
-        /// The spool.
+        /// The spool's folder.
         dir: PathBuf,
         /// Bytes waiting.
         bytes: u64,
-        /// The limit.
+        /// Bytes that may wait, at most.
         max_bytes: u64,
     },
     /// Another process sends from this spool.
     #[error("the spool {} is in use by another process; give each its own folder", .dir.display())]
     InUse {
-        /// The spool.
+        /// The spool's folder.
         dir: PathBuf,
     },
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder of the spool.
         path: PathBuf,
-        /// What it says.
+        /// The error of the file system.
         source: io::Error,
     },
 }
@@ -82,14 +82,14 @@ pub enum Error {
 #[derive(Debug)]
 pub struct Spool {
     dir: PathBuf,
-    limits: Limits,
-    state: Mutex<State>,
+    limits: SpoolLimits,
+    state: Mutex<SpoolState>,
     /// Held as long as the spool is open.
     _lock: File,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct SpoolState {
     /// Waiting uploads and their sizes in bytes.
     waiting: BTreeMap<Uuid, u64>,
     /// Sizes of waiting uploads and of those being written.
@@ -101,13 +101,13 @@ impl Spool {
     ///
     /// # Errors
     /// When another process has it open or the file system refuses.
-    pub fn open(dir: impl Into<PathBuf>, limits: Limits) -> Result<Self, Error> {
+    pub fn open(dir: impl Into<PathBuf>, limits: SpoolLimits) -> Result<Self, Error> {
         let dir = dir.into();
         for folder in [dir.clone(), dir.join("refused"), dir.join("damaged")] {
             fs::create_dir_all(&folder).map_err(|e| io_error(&folder, e))?;
         }
         let lock = lock(&dir)?;
-        let mut state = State::default();
+        let mut state = SpoolState::default();
         for entry in fs::read_dir(&dir).map_err(|e| io_error(&dir, e))? {
             let path = entry.map_err(|e| io_error(&dir, e))?.path();
             match (id_of(&path), path.extension().and_then(|e| e.to_str())) {
@@ -128,7 +128,7 @@ impl Spool {
     ///
     /// # Errors
     /// When the spool is full or the file system refuses; the upload is not taken then.
-    pub fn push(&self, upload: &Upload) -> Result<(), Error> {
+    pub fn push(&self, upload: &PreparedUpload) -> Result<(), Error> {
         let contents = file::seal(&upload.encode());
         let bytes = contents.len() as u64;
         self.reserve(upload.id(), bytes)?;
@@ -159,7 +159,7 @@ impl Spool {
     ///
     /// # Errors
     /// When the file system refuses.
-    pub fn read(&self, id: Uuid) -> Result<Option<Upload>, Error> {
+    pub fn read(&self, id: Uuid) -> Result<Option<PreparedUpload>, Error> {
         let path = self.path_of(id);
         let contents = match fs::read(&path) {
             Ok(contents) => contents,
@@ -170,7 +170,7 @@ impl Spool {
             }
             Err(e) => return Err(io_error(&path, e)),
         };
-        let upload = file::open(&contents).and_then(Upload::decode);
+        let upload = file::open(&contents).and_then(PreparedUpload::decode);
         match upload {
             Ok(upload) if upload.id() == id => Ok(Some(upload)),
             Ok(_) => self.set_aside(id, "damaged", "the file's name is not its upload's id").map(|()| None),
@@ -249,7 +249,7 @@ impl Spool {
         self.dir.join(format!("{id}.{ENDING}"))
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, SpoolState> {
         // Counters stay right even if a holder panicked.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -19,19 +19,19 @@ fn drain(spool: &Spool) -> Vec<Uuid> {
 fn uploads_survive_a_restart_in_order() {
     let dir = tempfile::tempdir().unwrap();
     let uploads: Vec<_> = (0..5).map(|_| upload(3)).collect();
-    let spool = Spool::open(dir.path(), Limits::default()).unwrap();
+    let spool = Spool::open(dir.path(), SpoolLimits::default()).unwrap();
     for upload in &uploads {
         spool.push(upload).unwrap();
     }
-    assert!(matches!(Spool::open(dir.path(), Limits::default()), Err(Error::InUse { .. })));
+    assert!(matches!(Spool::open(dir.path(), SpoolLimits::default()), Err(Error::InUse { .. })));
     let bytes = spool.bytes();
     drop(spool);
     fs::write(dir.path().join(format!("{}.part", Uuid::now_v7())), "half").unwrap();
     fs::write(dir.path().join("notes.txt"), "someone's").unwrap();
-    let spool = Spool::open(dir.path(), Limits::default()).unwrap();
+    let spool = Spool::open(dir.path(), SpoolLimits::default()).unwrap();
     assert_eq!((spool.len(), spool.bytes()), (5, bytes));
     assert_eq!(spool.read(uploads[2].id()).unwrap().as_ref(), Some(&uploads[2]));
-    assert_eq!(drain(&spool), uploads.iter().map(Upload::id).collect::<Vec<_>>());
+    assert_eq!(drain(&spool), uploads.iter().map(PreparedUpload::id).collect::<Vec<_>>());
     assert_eq!((spool.len(), spool.bytes()), (0, 0));
     let left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert!(!left.iter().any(|n| n.to_string_lossy().ends_with(".part")), "{left:?}");
@@ -42,7 +42,7 @@ fn a_full_spool_refuses_the_newest_and_keeps_the_rest() {
     let dir = tempfile::tempdir().unwrap();
     let (a, b) = (upload(100), upload(100));
     let size = file::seal(&a.encode()).len() as u64;
-    let limits = Limits { max_bytes: size + size / 2, ..Limits::default() };
+    let limits = SpoolLimits { max_bytes: size + size / 2, ..SpoolLimits::default() };
     let spool = Spool::open(dir.path(), limits).unwrap();
     spool.push(&a).unwrap();
     let error = spool.push(&b).unwrap_err();
@@ -57,7 +57,7 @@ fn a_full_spool_refuses_the_newest_and_keeps_the_rest() {
 fn damage_is_set_aside_and_the_queue_goes_on() {
     let dir = tempfile::tempdir().unwrap();
     let uploads: Vec<_> = (0..4).map(|_| upload(3)).collect();
-    let spool = Spool::open(dir.path(), Limits::default()).unwrap();
+    let spool = Spool::open(dir.path(), SpoolLimits::default()).unwrap();
     for upload in &uploads {
         spool.push(upload).unwrap();
     }
@@ -68,7 +68,7 @@ fn damage_is_set_aside_and_the_queue_goes_on() {
     fs::write(path(0), bytes).unwrap();
     fs::write(path(1), "").unwrap();
     fs::copy(path(3), path(2)).unwrap();
-    let spool = Spool::open(dir.path(), Limits::default()).unwrap();
+    let spool = Spool::open(dir.path(), SpoolLimits::default()).unwrap();
     assert_eq!(drain(&spool), [uploads[3].id()]);
     for damaged in &uploads[..3] {
         let text = dir.path().join("damaged").join(format!("{}.txt", damaged.id()));
@@ -81,7 +81,7 @@ fn refused_uploads_are_kept_with_the_reason_within_a_bound() {
     let dir = tempfile::tempdir().unwrap();
     let uploads: Vec<_> = (0..6).map(|_| upload(100)).collect();
     let size = file::seal(&uploads[0].encode()).len() as u64;
-    let limits = Limits { max_set_aside_bytes: 3 * size, ..Limits::default() };
+    let limits = SpoolLimits { max_set_aside_bytes: 3 * size, ..SpoolLimits::default() };
     let spool = Spool::open(dir.path(), limits).unwrap();
     for upload in &uploads {
         spool.push(upload).unwrap();

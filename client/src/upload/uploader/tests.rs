@@ -3,7 +3,7 @@
 use super::*;
 use crate::testing::service::{Behaviour, MockService};
 use crate::testing::upload;
-use crate::upload::spool::Limits;
+use crate::upload::spool::SpoolLimits;
 use std::collections::HashSet;
 use tempfile::TempDir;
 use tonic::{Code, Status};
@@ -12,13 +12,13 @@ use uuid::Uuid;
 
 const SOON: Duration = Duration::from_secs(20);
 
-fn options() -> Options {
-    let backoff = Policy { initial: Duration::from_millis(5), max: Duration::from_millis(40) };
-    Options { backoff, patience: Duration::from_secs(1), slowest_bytes_per_s: 1_000_000 }
+fn options() -> UploaderOptions {
+    let backoff = BackoffPolicy { initial: Duration::from_millis(5), max: Duration::from_millis(40) };
+    UploaderOptions { backoff, patience: Duration::from_secs(1), slowest_bytes_per_s: 1_000_000 }
 }
 
 fn uploader(endpoint: Endpoint, dir: &TempDir) -> Uploader {
-    Uploader::start(endpoint, Spool::open(dir.path(), Limits::default()).unwrap(), options())
+    Uploader::start(endpoint, Spool::open(dir.path(), SpoolLimits::default()).unwrap(), options())
 }
 
 async fn submit(uploader: &Uploader, count: usize) -> Vec<Uuid> {
@@ -38,7 +38,7 @@ async fn everything_arrives_in_order_and_leaves_the_disk() {
     let ids = submit(&uploader, 10).await;
     uploader.flush(SOON).await.unwrap();
     assert_eq!(service.counted(), ids);
-    assert_eq!(uploader.progress(), Progress { sent: 10, ..Progress::default() });
+    assert_eq!(uploader.progress(), UploadProgress { sent: 10, ..UploadProgress::default() });
     let files = std::fs::read_dir(dir.path()).unwrap().filter(|e| e.as_ref().unwrap().path().is_file());
     assert_eq!(files.count(), 1, "only the lock is left");
 }

@@ -7,7 +7,7 @@ fn mounts() -> [Mount; 3] {
     [Mount::new(3.6, 0.0, 0.0), Mount::new(3.4, 0.7, 0.8), Mount::new(3.4, -0.7, -0.8)]
 }
 
-/// On a bend at a speed, 5 s, a pose every 20 ms; speed and yaw rate are off by some share and rate.
+/// On a bend at a speed, 5 s, a pose every 20 ms; speed and yaw rate are off by some fraction and rate.
 fn bend(scale: f64, gyro_radps: f64) -> Trajectory {
     let (dt_s, speed_mps, yaw_rate) = (0.02, 8.0 * (1.0 + scale), 0.15 + gyro_radps);
     let radius_m = speed_mps / yaw_rate;
@@ -45,7 +45,7 @@ proptest! {
         let found = dedrifted(&seen(), &mounts(), &odometry, &config.0, &config.1).unwrap();
         prop_assert!(found.estimates >= 45, "{}", found.estimates);
         let (metres, radians) = end_error(&found.trajectory, &bend(0.0, 0.0));
-        // What the prior keeps of it: the radars cannot tell all of a turn from sliding sideways.
+        // What the prior leaves of it: the radars cannot tell all of a turn from sliding sideways.
         let (before_m, before_rad) = end_error(&odometry, &bend(0.0, 0.0));
         prop_assert!(metres < 0.5 * before_m + 0.02, "{metres} of {before_m} m");
         prop_assert!(radians < 0.5 * before_rad + 1e-3, "{radians} of {before_rad} rad");

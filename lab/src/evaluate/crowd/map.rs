@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::Datum;
-use echofix_core::evidence::Share;
+use echofix_core::evidence::TileEvidence;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Decay, Ledger, Tile};
 use echofix_core::vetting::{Limits, MapSide, Offsets, Vetted, Vetter, moved_shares, told_by_others};
@@ -56,7 +56,7 @@ impl CrowdMap {
     }
 
     /// Vets an upload and folds it: what was folded, `None` when it is quarantined.
-    pub fn offer(&mut self, upload: &Upload) -> Option<Vec<(TileId, Share)>> {
+    pub fn offer(&mut self, upload: &Upload) -> Option<Vec<(TileId, TileEvidence)>> {
         match self.vet(upload) {
             Vetted::Agrees(offsets) | Vetted::New(offsets) => Some(self.told.fold(upload, &offsets)),
             Vetted::Quarantined { .. } => None,
@@ -77,7 +77,7 @@ impl CrowdMap {
 }
 
 impl Told {
-    fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, Share)> {
+    fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
         let mut folded = Vec::new();
         let shares: Vec<_> = upload.contribution.tiles.iter().map(|(id, share)| (*id, share)).collect();
         for (id, share, offset) in moved_shares(&shares, offsets) {

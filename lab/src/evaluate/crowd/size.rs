@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use echofix_core::evidence::{CellHits, Contribution, OFFSET_STEPS, SENT_STEPS, Share, codec};
+use echofix_core::evidence::{CellHits, EvidenceDelta, OFFSET_STEPS, SENT_STEPS, TileEvidence, codec};
 use echofix_core::geo::{CELLS_PER_TILE, Zone};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -66,17 +66,17 @@ impl Form {
     }
 
     /// Bytes of an upload.
-    fn bytes(self, contribution: &Contribution) -> u64 {
-        let halved = |share: &Share| {
+    fn bytes(self, contribution: &EvidenceDelta) -> u64 {
+        let halved = |share: &TileEvidence| {
             let cells = widened(&share.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
-            Share { cells, observed: share.observed }
+            TileEvidence { cells, observed: share.observed }
         };
         match self {
             Self::Scans => DETECTION_BYTES * contribution.detections,
             Self::Steps(_) => codec::encode(contribution).len() as u64,
             Self::Wide => {
                 let tiles = contribution.tiles.iter().map(|(id, told)| (*id, halved(told))).collect();
-                codec::encode(&Contribution { tiles, detections: contribution.detections }).len() as u64
+                codec::encode(&EvidenceDelta { tiles, detections: contribution.detections }).len() as u64
             }
         }
     }

@@ -1,8 +1,8 @@
 //! A drive cut into uploads, as a vehicle sends them.
 
-use echofix_client::upload::Config;
+use echofix_client::upload::RecorderConfig;
 use echofix_core::drive::{Drive, GeoPose};
-use echofix_core::evidence::{Contribution, Gathering, Pass, SENT_STEPS};
+use echofix_core::evidence::{EvidenceAccumulator, EvidenceDelta, Pass, SENT_STEPS};
 use echofix_core::geo::{Grid, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -16,7 +16,7 @@ pub struct Upload {
     /// Whose it is, and of which day.
     pub pass: Pass,
     /// What it tells.
-    pub contribution: Contribution,
+    pub contribution: EvidenceDelta,
 }
 
 /// What a vehicle sends of its drives.
@@ -59,7 +59,7 @@ pub fn cut_wrong(
     let scans = gated(drive, Movers::Dropped);
     let mut uploads = Vec::new();
     for poses in stretches(&drive.reference, sending.max_sigma_m) {
-        for part in parts(&grid, poses, &Config::default())? {
+        for part in parts(&grid, poses, &RecorderConfig::default())? {
             let poses: Vec<_> = on_grid(&grid, part)?.iter().collect();
             let (number, middle) = (uploads.len(), poses[poses.len() / 2].1);
             let poses = poses.into_iter().map(|(time_us, pose)| (time_us, wrong(number, middle, pose)));
@@ -71,7 +71,11 @@ pub fn cut_wrong(
 }
 
 /// Poses up to each cut; neighbours share the pose at it.
-fn parts<'a>(grid: &Grid, poses: &'a [GeoPose], config: &Config) -> anyhow::Result<Vec<&'a [GeoPose]>> {
+fn parts<'a>(
+    grid: &Grid,
+    poses: &'a [GeoPose],
+    config: &RecorderConfig,
+) -> anyhow::Result<Vec<&'a [GeoPose]>> {
     let cut_after_us = (config.cut_after_s * 1e6) as i64;
     let (mut parts, mut from, mut way_m) = (Vec::new(), 0, 0.0);
     let mut before = grid.project(poses[0].at)?;
@@ -101,7 +105,7 @@ fn upload(
     let scale = grid.scale_factor(poses[0].at)?;
     // Movers are gone already, and odometry told them better than absolute poses would.
     let gate = Movers::Kept.gate();
-    let mut gathering = Gathering::with_steps(steps);
+    let mut gathering = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
         gathering.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
     let contribution = gathering.finish(placed);
@@ -125,7 +129,7 @@ mod tests {
             ..GeoPose::default()
         };
         let poses: Vec<_> = (0..=400).map(pose).collect();
-        let parts = parts(&grid, &poses, &Config::default()).unwrap();
+        let parts = parts(&grid, &poses, &RecorderConfig::default()).unwrap();
         let lengths: Vec<_> = parts.iter().map(|part| part.len()).collect();
         assert_eq!(lengths, [101, 101, 52, 52, 52, 48]);
         // Each shares its first pose with the one before.

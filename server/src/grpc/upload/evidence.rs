@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use echofix_core::batch::Dropped;
-use echofix_core::contribution::{Contributed, Refusal};
-use echofix_core::evidence::{Contribution, codec};
+use echofix_core::evidence::build::{BuildError, BuiltEvidence};
+use echofix_core::evidence::{EvidenceDelta, codec};
+use echofix_core::gate::Dropped;
 use echofix_core::geo::Zone;
 use echofix_proto::v1::EvidenceChunk;
 
@@ -46,28 +46,29 @@ impl Evidence {
     }
 
     /// The contribution, if it could have come from a vehicle that keeps to the limits.
-    pub(super) fn checked(self, config: &MappingConfig) -> Result<Contributed, Error> {
+    pub(super) fn checked(self, config: &MappingConfig) -> Result<BuiltEvidence, Error> {
         let limits = config.limits();
-        if self.sigma_position_m > limits.max_sigma_position_m
-            || self.sigma_yaw_rad > limits.max_sigma_yaw_rad
+        if self.sigma_position_m > limits.segments.max_sigma_position_m
+            || self.sigma_yaw_rad > limits.segments.max_sigma_yaw_rad
         {
             let (position_m, yaw_deg) = (config.max_sigma_position_m, config.max_sigma_yaw_deg);
-            return Err(Refusal::PoseTooUncertain { position_m, yaw_deg }.into());
+            return Err(BuildError::PoseTooUncertain { position_m, yaw_deg }.into());
         }
         let invalid = |why: &dyn std::fmt::Display| Error::Evidence(why.to_string());
-        let head = codec::decode_head(&self.bytes).map_err(|error| invalid(&error))?;
+        let head = codec::decode_header(&self.bytes).map_err(|error| invalid(&error))?;
         let (tiles, most) = (head.tiles.len(), limits.max_tiles);
         if tiles > most {
-            return Err(Refusal::TooManyTiles { tiles, most }.into());
+            return Err(BuildError::TooManyTiles { tiles, most }.into());
         }
         let room = config.max_upload_detections * CELL_BYTES;
         let contribution = codec::decode(&self.bytes, room).map_err(|error| invalid(&error))?;
         let detections = detections(&contribution);
         if detections == 0 {
-            return Err(Refusal::NoDetections { sent: 0 }.into());
+            return Err(BuildError::NoDetections { sent: 0 }.into());
         }
-        let counted =
-            |share: &echofix_core::evidence::Share| share.cells.iter().all(|c| c.hits <= MAX_CELL_HITS);
+        let counted = |share: &echofix_core::evidence::TileEvidence| {
+            share.cells.iter().all(|c| c.hits <= MAX_CELL_HITS)
+        };
         if !contribution.tiles.values().all(counted) {
             return Err(invalid(&format!("a cell has more than {MAX_CELL_HITS} hits")));
         }
@@ -78,13 +79,13 @@ impl Evidence {
         if contribution.tiles.keys().any(|id| !id.lies_on_grid()) {
             return Err(invalid(&"a tile lies outside its zone"));
         }
-        let contribution = Contribution { detections, ..contribution };
-        Ok(Contributed { contribution, dropped: Dropped::default() })
+        let contribution = EvidenceDelta { detections, ..contribution };
+        Ok(BuiltEvidence { delta: contribution, dropped: Dropped::default() })
     }
 }
 
 /// Detections; those of a zone border are in several zones and count once.
-fn detections(contribution: &Contribution) -> u64 {
+fn detections(contribution: &EvidenceDelta) -> u64 {
     let mut by_zone: BTreeMap<Zone, u64> = BTreeMap::new();
     for (id, share) in &contribution.tiles {
         *by_zone.entry(id.zone).or_default() += share.detections();
@@ -95,17 +96,17 @@ fn detections(contribution: &Contribution) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echofix_core::evidence::{CellHits, Share};
+    use echofix_core::evidence::{CellHits, TileEvidence};
     use echofix_core::geo::TileId;
 
-    fn contribution(cells: u32, hits: u32, x: i32) -> Contribution {
+    fn contribution(cells: u32, hits: u32, x: i32) -> EvidenceDelta {
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 65_000, x };
         let hit = |index| CellHits { index, hits, offset_sum: [hits, hits] };
-        let share = Share::of_hits((0..cells).map(hit).collect());
-        Contribution { tiles: [(id, share)].into(), detections: u64::MAX }
+        let share = TileEvidence::of_hits((0..cells).map(hit).collect());
+        EvidenceDelta { tiles: [(id, share)].into(), detections: u64::MAX }
     }
 
-    fn checked(contribution: &Contribution, sigma_position_m: f32) -> Result<Contributed, Error> {
+    fn checked(contribution: &EvidenceDelta, sigma_position_m: f32) -> Result<BuiltEvidence, Error> {
         let mut evidence = Evidence::default();
         for piece in codec::encode(contribution).chunks(100) {
             let chunk =
@@ -118,12 +119,12 @@ mod tests {
     #[test]
     fn sound_evidence_is_taken_and_its_detections_are_counted_here() {
         let counted = checked(&contribution(700, 3, 12_000), 0.1).unwrap();
-        assert_eq!(counted.contribution, Contribution { detections: 2_100, ..contribution(700, 3, 12_000) });
+        assert_eq!(counted.delta, EvidenceDelta { detections: 2_100, ..contribution(700, 3, 12_000) });
     }
 
     #[test]
     fn evidence_that_no_vehicle_could_have_gathered_is_refused() {
-        let reason = |contribution: &Contribution, sigma| checked(contribution, sigma).unwrap_err().reason();
+        let reason = |contribution: &EvidenceDelta, sigma| checked(contribution, sigma).unwrap_err().reason();
         assert_eq!(reason(&contribution(10, 3, 12_000), 0.5), "POSE_TOO_UNCERTAIN");
         // In single precision the limit of 0.3 m is a little more than that.
         assert!(checked(&contribution(10, 3, 12_000), 0.3).is_ok());

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use echofix_core::contribution::{Chunk, Submission};
+use echofix_core::evidence::build::{Chunk, RawUpload};
 use echofix_core::scan::Mount;
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{EvidenceChunk, UploadChunk, UploadHeader, UploadRequest};
@@ -32,7 +32,7 @@ pub(super) struct Received {
 
 /// What an upload holds.
 pub(super) enum Body {
-    Scans(Submission),
+    Scans(RawUpload),
     Evidence(Evidence),
 }
 
@@ -133,7 +133,7 @@ impl<'a> Receiving<'a> {
         let body = if self.chunks.is_empty() {
             Body::Evidence(self.evidence)
         } else {
-            Body::Scans(Submission { mounts: self.mounts, chunks: self.chunks })
+            Body::Scans(RawUpload { mounts: self.mounts, chunks: self.chunks })
         };
         Ok(Received { id: self.id, contributor: header.contributor.clone(), day, body })
     }

@@ -1,6 +1,6 @@
 //! What folding makes of a journal stays the same, or is told apart.
 
-use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
+use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence};
 use echofix_core::geo::{CellIndex, Zone};
 use echofix_core::vetting::Limits;
 
@@ -23,14 +23,14 @@ fn street(contributor: u64, [east, north]: [i64; 2]) -> Upload {
         let (id, index) = TileId::locate(Zone::from_epsg(32614).unwrap(), cell);
         tiles.entry(id).or_default().insert(index, CellHits { index, hits: 2, offset_sum: [200, 250] });
     }
-    let share = |cells: BTreeMap<u32, CellHits>| Share::of_hits(cells.into_values().collect());
+    let share = |cells: BTreeMap<u32, CellHits>| TileEvidence::of_hits(cells.into_values().collect());
     let tiles: BTreeMap<_, _> = tiles.into_iter().map(|(id, cells)| (id, share(cells))).collect();
-    let detections = tiles.values().map(Share::detections).sum();
+    let detections = tiles.values().map(TileEvidence::detections).sum();
     Upload {
         id: Uuid::from_u128(contributor.into()),
         pass: Pass { day: 20_000, contributor },
         forget_before: 0,
-        contribution: Contribution { tiles, detections },
+        contribution: EvidenceDelta { tiles, detections },
         answer: Vec::new(),
     }
 }

@@ -10,7 +10,8 @@ use flate2::write::GzEncoder;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::super::{Error, io_error};
+use super::super::Problem;
+use super::super::file::{Error, io_error};
 
 /// A table that is there, compressed or not.
 pub(crate) struct Table {
@@ -41,12 +42,13 @@ impl Table {
     pub(crate) fn rows<R: DeserializeOwned>(
         &self,
         required: &[&str],
-        mut take: impl FnMut(R) -> Result<(), String>,
+        mut take: impl FnMut(R) -> Result<(), Problem>,
     ) -> Result<(), Error> {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::Headers).from_reader(self.open()?);
         let headers = reader.headers().map_err(|e| self.unreadable(&e, 1))?.clone();
         if let Some(missing) = required.iter().find(|column| headers.iter().all(|h| h != **column)) {
-            let problem = format!("column `{missing}` is missing; expected {}", required.join(","));
+            let problem =
+                Problem::MissingColumn { column: (*missing).to_owned(), expected: required.join(",") };
             return Err(self.bad_row(1, problem));
         }
         let mut record = csv::StringRecord::new();
@@ -68,18 +70,18 @@ impl Table {
         Ok(if is_gz { Box::new(BufReader::new(MultiGzDecoder::new(file))) } else { Box::new(file) })
     }
 
-    fn bad_row(&self, line: u64, problem: String) -> Error {
+    fn bad_row(&self, line: u64, problem: Problem) -> Error {
         Error::Row { path: self.path.clone(), line, problem }
     }
 
     fn unreadable(&self, error: &csv::Error, line: u64) -> Error {
         let line = error.position().map_or(line, csv::Position::line);
         let problem = match error.kind() {
-            csv::ErrorKind::Deserialize { err, .. } => err.to_string(),
+            csv::ErrorKind::Deserialize { err, .. } => Problem::Unparsable(err.to_string()),
             csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                format!("it has {len} fields, the header {expected_len}")
+                Problem::FieldCount { found: *len, expected: *expected_len }
             }
-            _ => error.to_string(),
+            _ => Problem::Unparsable(error.to_string()),
         };
         self.bad_row(line, problem)
     }

@@ -1,31 +1,31 @@
-//! Scans and poses become a contribution.
+//! Scans and poses become an evidence delta.
 
 use std::collections::BTreeMap;
 
 use super::view::Views;
-use super::{CellHits, Contribution, OFFSET_STEPS, SENT_STEPS, Share};
-use crate::batch::{self, Dropped};
+use super::{CellHits, EvidenceDelta, OFFSET_STEPS, SENT_STEPS, TileEvidence};
+use crate::gate::{self, Dropped, Gate};
 use crate::geo::{CELL_M, CellIndex, TileId, Zone};
 use crate::odometry::Trajectory;
-use crate::scan::{Gate, Mount, Scan};
+use crate::scan::{Mount, Scan};
 
-/// Gathers what an upload contributes, part by part: into how many parts a drive is cut, and in
+/// Accumulates the evidence of an upload, part by part: into how many parts a drive is split, and in
 /// which order they come, does not matter.
 #[derive(Debug)]
-pub struct Gathering {
+pub struct EvidenceAccumulator {
     tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>>,
     views: Views,
     steps: u32,
 }
 
-impl Default for Gathering {
+impl Default for EvidenceAccumulator {
     fn default() -> Self {
         Self::with_steps(SENT_STEPS)
     }
 }
 
-impl Gathering {
-    /// One that keeps the place of a hit within its cell to so many steps along each side, at most
+impl EvidenceAccumulator {
+    /// One that resolves the position of a hit within its cell to so many steps along each side, at most
     /// [`OFFSET_STEPS`]: its hits lie in the steps' middles.
     #[must_use]
     pub fn with_steps(steps: u32) -> Self {
@@ -33,8 +33,8 @@ impl Gathering {
         Self { tiles: BTreeMap::new(), views: Views::default(), steps }
     }
 
-    /// Places scans on the map of one zone: `poses` are body poses on the zone's grid and `scale` its
-    /// point scale factor there. Returns the number of detections that were placed, and the others.
+    /// Projects scans onto the map of one zone: `poses` are body poses on the zone's grid and `scale` its
+    /// point scale factor there. Returns the number of detections that count, and those dropped.
     ///
     /// # Errors
     /// When a scan names an unknown sensor.
@@ -46,15 +46,15 @@ impl Gathering {
         poses: &Trajectory,
         scale: f64,
         gate: &Gate,
-    ) -> Result<(u64, Dropped), batch::Error> {
-        let mut placed = 0;
-        let dropped = batch::for_each_scan(scans, mounts, poses, gate, |scan| {
+    ) -> Result<(u64, Dropped), gate::UnknownSensor> {
+        let mut counted = 0;
+        let dropped = gate::for_each_gated_scan(scans, mounts, poses, gate, |scan| {
             let sensor = scan.sensor(scale);
-            scan.placed(scale).for_each(|point| self.hit(zone, point));
-            self.views.see(zone, [sensor.x_m, sensor.y_m], scan.placed(scale));
-            placed += scan.points.len() as u64;
+            scan.points_in_frame(scale).for_each(|point| self.hit(zone, point));
+            self.views.see(zone, [sensor.x_m, sensor.y_m], scan.points_in_frame(scale));
+            counted += scan.points.len() as u64;
         })?;
-        Ok((placed, dropped))
+        Ok((counted, dropped))
     }
 
     fn hit(&mut self, zone: Zone, point: [f64; 2]) {
@@ -82,16 +82,16 @@ impl Gathering {
         self.tiles.len()
     }
 
-    /// All of it; `detections` are those that count, each in one zone only.
+    /// The delta; `detections` are those that count, each in one zone only.
     #[must_use]
-    pub fn finish(self, detections: u64) -> Contribution {
+    pub fn finish(self, detections: u64) -> EvidenceDelta {
         let mut observed = self.views.observed(|id| self.tiles.contains_key(id));
-        let share = |(id, cells): (TileId, BTreeMap<u32, CellHits>)| {
-            let mut share = Share::of_hits(cells.into_values().collect());
-            share.observed = share.observed.union(&observed.remove(&id).unwrap_or_default());
-            (id, share)
+        let evidence = |(id, cells): (TileId, BTreeMap<u32, CellHits>)| {
+            let mut evidence = TileEvidence::of_hits(cells.into_values().collect());
+            evidence.observed = evidence.observed.union(&observed.remove(&id).unwrap_or_default());
+            (id, evidence)
         };
-        Contribution { tiles: self.tiles.into_iter().map(share).collect(), detections }
+        EvidenceDelta { tiles: self.tiles.into_iter().map(evidence).collect(), detections }
     }
 }
 
@@ -107,11 +107,11 @@ mod tests {
     }
 
     /// What scans of one zone contribute, and what was left out.
-    fn contribute(scans: &[Scan], scale: f64) -> (Contribution, Dropped) {
-        let mut gathering = Gathering::default();
+    fn contribute(scans: &[Scan], scale: f64) -> (EvidenceDelta, Dropped) {
+        let mut accumulator = EvidenceAccumulator::default();
         let (mounts, gate) = ([Mount::IDENTITY], Gate::default());
-        let (placed, dropped) = gathering.add(zone(), scans, &mounts, &eastward(), scale, &gate).unwrap();
-        (gathering.finish(placed), dropped)
+        let (counted, dropped) = accumulator.add(zone(), scans, &mounts, &eastward(), scale, &gate).unwrap();
+        (accumulator.finish(counted), dropped)
     }
 
     /// East at 10 m/s from (600000, 3300000), a pose every 100 ms.
@@ -125,20 +125,20 @@ mod tests {
         fn every_detection_lands_in_the_cell_below_it(
             x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64, steps in 1..=OFFSET_STEPS,
         ) {
-            let mut gathering = Gathering::with_steps(steps);
-            gathering.hit(zone(), [x, y]);
-            let contribution = gathering.finish(1);
-            let (id, share) = contribution.tiles.first_key_value().unwrap();
-            let hit = share.cells[0];
+            let mut accumulator = EvidenceAccumulator::with_steps(steps);
+            accumulator.hit(zone(), [x, y]);
+            let contribution = accumulator.finish(1);
+            let (id, evidence) = contribution.tiles.first_key_value().unwrap();
+            let hit = evidence.cells[0];
             let ([x0, y0], [fx, fy]) = (id.origin(), hit.centroid());
             let (cx, cy) = (hit.index % 512, hit.index / 512);
             let near_m = CELL_M * (0.5 / f64::from(steps) + 1.0 / f64::from(OFFSET_STEPS)) + 1e-6;
             prop_assert!((x0 + (f64::from(cx) + fx) * CELL_M - x).abs() < near_m);
             prop_assert!((y0 + (f64::from(cy) + fy) * CELL_M - y).abs() < near_m);
-            prop_assert!(share.observed.contains(view_block(hit.index)));
+            prop_assert!(evidence.observed.contains(view_block(hit.index)));
         }
 
-        /// Fails when what was in view is told scan by scan, or part by part.
+        /// Fails when what was in view is counted scan by scan, or part by part.
         #[test]
         fn the_cut_into_parts_does_not_matter(
             rows in prop::collection::vec((0..100_i64, 2.0..45.0_f32, -3.0..3.0_f32), 1..200), cut in 0..100_i64,
@@ -155,13 +155,13 @@ mod tests {
             let scans: Vec<Scan> = (0..100).map(scan).collect();
             let (poses, mounts, gate) = (eastward(), [Mount::IDENTITY], Gate::default());
             let (whole, _) = contribute(&scans, 1.0);
-            let mut gathering = Gathering::default();
+            let mut accumulator = EvidenceAccumulator::default();
             let (early, late) = scans.split_at(cut as usize);
             for part in [late, early] {
-                gathering.add(zone(), part, &mounts, &poses, 1.0, &gate).unwrap();
+                accumulator.add(zone(), part, &mounts, &poses, 1.0, &gate).unwrap();
             }
-            prop_assert_eq!(gathering.tiles(), whole.tiles.len());
-            prop_assert_eq!(gathering.finish(rows.len() as u64), whole);
+            prop_assert_eq!(accumulator.tiles(), whole.tiles.len());
+            prop_assert_eq!(accumulator.finish(rows.len() as u64), whole);
         }
     }
 
@@ -175,10 +175,10 @@ mod tests {
         };
         let (contribution, dropped) = contribute(&[scan], 0.9996);
         assert_eq!((contribution.detections, dropped.too_far), (2, 1));
-        let (id, share) = contribution.tiles.first_key_value().unwrap();
-        assert_eq!((share.cells.len(), share.cells[0].hits, share.detections()), (1, 2, 2));
+        let (id, evidence) = contribution.tiles.first_key_value().unwrap();
+        assert_eq!((evidence.cells.len(), evidence.cells[0].hits, evidence.detections()), (1, 2, 2));
         // 600001 + 40 * 0.9996 = 600040.984
-        let x = id.origin()[0] + f64::from(share.cells[0].index % 512) * CELL_M;
+        let x = id.origin()[0] + f64::from(evidence.cells[0].index % 512) * CELL_M;
         assert!((x - 600_040.9).abs() < 1e-6, "{x}");
     }
 

@@ -11,7 +11,7 @@ const REACH_DEG: f64 = 10.0;
 /// It is the UTM grid of the origin's zone, moved, turned and scaled; so it knows no zone border,
 /// and its scale is off by less than 2e-5 two kilometres out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Frame {
+pub(super) struct LocalPlane {
     zone: Zone,
     at: LatLon,
     /// The origin on the grid, facing true east.
@@ -20,7 +20,7 @@ pub(super) struct Frame {
     scale: f64,
 }
 
-impl Frame {
+impl LocalPlane {
     /// The plane around a position.
     ///
     /// # Errors
@@ -68,7 +68,7 @@ mod tests {
             lat_deg in -75.0..75.0_f64, lon_deg in -180.0..180.0_f64,
             x_m in -3e3..3e3, y_m in -3e3..3e3, yaw_rad in -3.1..3.1,
         ) {
-            let frame = Frame::around(LatLon { lat_deg, lon_deg }).unwrap();
+            let frame = LocalPlane::around(LatLon { lat_deg, lon_deg }).unwrap();
             let pose = Pose2::new(x_m, y_m, yaw_rad);
             let (at, true_yaw_rad) = frame.geodetic(&pose).unwrap();
             let back = frame.local(at, true_yaw_rad).unwrap();
@@ -78,8 +78,8 @@ mod tests {
         #[test]
         fn planes_of_two_zones_agree_on_a_way(lat_deg in -70.0..70.0_f64, dx in -2e3..2e3, dy in -2e3..2e3) {
             // Two origins a metre apart on either side of the border of zones 31 and 32.
-            let west = Frame::around(LatLon { lat_deg, lon_deg: 5.999_99 }).unwrap();
-            let east = Frame::around(LatLon { lat_deg, lon_deg: 6.0 }).unwrap();
+            let west = LocalPlane::around(LatLon { lat_deg, lon_deg: 5.999_99 }).unwrap();
+            let east = LocalPlane::around(LatLon { lat_deg, lon_deg: 6.0 }).unwrap();
             let step = east.local(west.geodetic(&Pose2::IDENTITY).unwrap().0, 0.0).unwrap();
             let (at, yaw_rad) = west.geodetic(&Pose2::new(dx, dy, 0.3)).unwrap();
             let seen = step.between(&east.local(at, yaw_rad).unwrap());

@@ -7,7 +7,7 @@ use super::*;
 const AUSTIN: LatLon = LatLon { lat_deg: 30.2672, lon_deg: -97.7431 };
 
 /// North at 10 m/s from `at`, a pose and a scan every 100 ms; each scan sees one point 20 m east.
-fn drive(at: LatLon, rows: i64) -> Submission {
+fn drive(at: LatLon, rows: i64) -> RawUpload {
     let time_us = |i: i64| i * 100_000;
     let pose = |i: i64| GeoPose {
         time_us: time_us(i),
@@ -23,32 +23,32 @@ fn drive(at: LatLon, rows: i64) -> Submission {
         ..Scan::default()
     };
     let chunk = Chunk { poses: (0..rows).map(pose).collect(), scans: (0..rows).map(scan).collect() };
-    Submission { mounts: vec![Mount::IDENTITY], chunks: vec![chunk] }
+    RawUpload { mounts: vec![Mount::IDENTITY], chunks: vec![chunk] }
 }
 
-fn contributed(submission: Submission) -> Result<Contributed, Refusal> {
-    contribute(submission, &Limits::default())
+fn built(upload: RawUpload) -> Result<BuiltEvidence, BuildError> {
+    build_evidence(upload, &EvidenceLimits::default())
 }
 
 /// Map metres of all hits.
-fn places(contributed: &Contributed) -> Vec<[f64; 2]> {
-    let place = |id: &TileId, hit: &CellHits| {
+fn hit_positions(built: &BuiltEvidence) -> Vec<[f64; 2]> {
+    let position = |id: &TileId, hit: &CellHits| {
         let ([x, y], [fx, fy]) = (id.origin(), hit.centroid());
         [x + (f64::from(hit.index % 512) + fx) * CELL_M, y + (f64::from(hit.index / 512) + fy) * CELL_M]
     };
-    let tiles = contributed.contribution.tiles.iter();
-    tiles.flat_map(|(id, share)| share.cells.iter().map(|cell| place(id, cell))).collect()
+    let tiles = built.delta.tiles.iter();
+    tiles.flat_map(|(id, evidence)| evidence.cells.iter().map(|cell| position(id, cell))).collect()
 }
 
 #[test]
 fn what_is_twenty_metres_east_lands_twenty_metres_east() {
-    let result = contributed(drive(AUSTIN, 21)).unwrap();
-    assert_eq!((result.contribution.detections, result.dropped), (21, Dropped::default()));
+    let result = built(drive(AUSTIN, 21)).unwrap();
+    assert_eq!((result.delta.detections, result.dropped), (21, Dropped::default()));
     let grid = Grid::of(AUSTIN).unwrap();
     let east =
         LatLon { lon_deg: AUSTIN.lon_deg + 20.0 / (111_320.0 * AUSTIN.lat_deg.to_radians().cos()), ..AUSTIN };
     let expected = grid.project(east).unwrap();
-    let nearest = places(&result)
+    let nearest = hit_positions(&result)
         .into_iter()
         .map(|p| (p[0] - expected[0]).hypot(p[1] - expected[1]))
         .fold(9e9, f64::min);
@@ -57,21 +57,21 @@ fn what_is_twenty_metres_east_lands_twenty_metres_east() {
 }
 
 #[test]
-fn near_a_border_both_zones_hold_the_same_places() {
+fn near_a_border_both_zones_hold_the_same_positions() {
     let at = LatLon { lat_deg: 51.0, lon_deg: 5.999 };
-    let result = contributed(drive(at, 21)).unwrap();
-    assert_eq!(result.contribution.detections, 21);
+    let result = built(drive(at, 21)).unwrap();
+    assert_eq!(result.delta.detections, 21);
     let hits = |epsg| -> u32 {
-        let tiles = result.contribution.tiles.iter().filter(|(id, _)| id.zone.epsg() == epsg);
-        tiles.flat_map(|(_, share)| &share.cells).map(|cell| cell.hits).sum()
+        let tiles = result.delta.tiles.iter().filter(|(id, _)| id.zone.epsg() == epsg);
+        tiles.flat_map(|(_, evidence)| &evidence.cells).map(|cell| cell.hits).sum()
     };
     assert_eq!((hits(32631), hits(32632)), (21, 21));
 }
 
 #[test]
 fn what_is_left_out_is_counted_by_its_reason() {
-    let mut submission = drive(AUSTIN, 41);
-    let chunk = &mut submission.chunks[0];
+    let mut upload = drive(AUSTIN, 41);
+    let chunk = &mut upload.chunks[0];
     chunk.scans[1].range_m[0] = 60.0;
     chunk.scans[2].radial_speed_mps = vec![7.0];
     chunk.scans[40].time_us += 1;
@@ -79,53 +79,56 @@ fn what_is_left_out_is_counted_by_its_reason() {
     for i in 20..30 {
         chunk.poses[i].at = chunk.poses[20].at;
     }
-    let result = contributed(submission).unwrap();
+    let result = built(upload).unwrap();
     // The car stands still from 20 to 29, then its positioning jumps on.
     let expected = Dropped { too_far: 1, moving: 1, without_pose: 2, too_slow: 10 };
     assert_eq!(result.dropped, expected);
-    assert_eq!(result.contribution.detections + expected.total(), 41);
+    assert_eq!(result.delta.detections + expected.total(), 41);
 }
 
 #[test]
-fn the_main_reason_is_told_when_nothing_counts() {
-    let told = |change: fn(&mut Chunk)| {
-        let mut submission = drive(AUSTIN, 21);
-        change(&mut submission.chunks[0]);
-        contributed(submission).unwrap_err()
+fn the_error_is_the_main_reason_when_nothing_counts() {
+    let error_of = |change: fn(&mut Chunk)| {
+        let mut upload = drive(AUSTIN, 21);
+        change(&mut upload.chunks[0]);
+        built(upload).unwrap_err()
     };
     assert!(matches!(
-        told(|c| c.poses.iter_mut().for_each(|p| p.sigma_position_m = 0.31)),
-        Refusal::PoseTooUncertain { .. }
+        error_of(|c| c.poses.iter_mut().for_each(|p| p.sigma_position_m = 0.31)),
+        BuildError::PoseTooUncertain { .. }
     ));
-    assert!(matches!(told(|c| c.poses.iter_mut().for_each(|p| p.at = AUSTIN)), Refusal::TooSlow { .. }));
-    assert!(matches!(told(|c| c.scans.clear()), Refusal::NoDetections { sent: 0 }));
-    assert!(matches!(told(|c| c.poses.clear()), Refusal::NoDetections { sent: 21 }));
     assert!(matches!(
-        told(|c| c.poses[0].at.lat_deg = 85.0),
-        Refusal::Outside(geo::Error::OutsideUtm { .. })
+        error_of(|c| c.poses.iter_mut().for_each(|p| p.at = AUSTIN)),
+        BuildError::TooSlow { .. }
     ));
-    assert!(matches!(told(|c| c.scans[3].sensor = 4), Refusal::Scans(_)));
+    assert!(matches!(error_of(|c| c.scans.clear()), BuildError::NoDetections { sent: 0 }));
+    assert!(matches!(error_of(|c| c.poses.clear()), BuildError::NoDetections { sent: 21 }));
+    assert!(matches!(
+        error_of(|c| c.poses[0].at.lat_deg = 85.0),
+        BuildError::Outside(geo::Error::OutsideUtm { .. })
+    ));
+    assert!(matches!(error_of(|c| c.scans[3].sensor = 4), BuildError::Scans(_)));
 }
 
 #[test]
 fn an_upload_over_too_many_tiles_is_refused() {
-    let limits = Limits { max_tiles: 3, ..Limits::default() };
-    let refusal = contribute(drive(AUSTIN, 500), &limits).unwrap_err();
-    assert!(matches!(refusal, Refusal::TooManyTiles { most: 3, .. }));
+    let limits = EvidenceLimits { max_tiles: 3, ..EvidenceLimits::default() };
+    let error = build_evidence(drive(AUSTIN, 500), &limits).unwrap_err();
+    assert!(matches!(error, BuildError::TooManyTiles { most: 3, .. }));
 }
 
 proptest! {
     #[test]
     fn neither_the_order_of_scans_nor_the_cut_into_chunks_matters(cut in 1..40_usize, turn in 0..41_usize) {
         let whole = drive(AUSTIN, 41);
-        let expected = contributed(whole.clone()).unwrap();
+        let expected = built(whole.clone()).unwrap();
         let Chunk { poses, mut scans } = whole.chunks[0].clone();
         let chunk = |poses: &[GeoPose], scans: &[Scan]| Chunk { poses: poses.to_vec(), scans: scans.to_vec() };
         // Both chunks cover the cut.
         let chunks = vec![chunk(&poses[..=cut], &scans[..cut]), chunk(&poses[cut..], &scans[cut..])];
-        prop_assert_eq!(&contributed(Submission { chunks, ..whole.clone() }).unwrap(), &expected);
+        prop_assert_eq!(&built(RawUpload { chunks, ..whole.clone() }).unwrap(), &expected);
         scans.rotate_left(turn);
         let chunks = vec![chunk(&poses, &scans)];
-        prop_assert_eq!(contributed(Submission { chunks, ..whole.clone() }).unwrap(), expected);
+        prop_assert_eq!(built(RawUpload { chunks, ..whole.clone() }).unwrap(), expected);
     }
 }

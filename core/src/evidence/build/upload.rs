@@ -1,48 +1,48 @@
-//! Scans and poses become hits by tile and cell.
+//! A raw upload becomes an evidence delta.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use crate::batch::{self, Dropped};
 use crate::drive::GeoPose;
-use crate::evidence::{Contribution, Gathering};
+use crate::drive::segment::{DriveSegment, split_segments};
+use crate::evidence::{EvidenceAccumulator, EvidenceDelta};
+use crate::gate::{self, Dropped};
 use crate::geo::{self, Grid, Zone};
 use crate::odometry::{self, Trajectory};
 use crate::scan::{Mount, Scan};
 
-use super::Limits;
-use super::stretch::{Stretch, cut};
+use super::EvidenceLimits;
 
-/// A stretch of a drive as it was uploaded, its columns sound.
+/// Scans and poses as a vehicle uploads them, their columns validated.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Submission {
-    /// The radars.
+pub struct RawUpload {
+    /// The radars that the scans name.
     pub mounts: Vec<Mount>,
-    /// Its parts.
+    /// The scans and poses, in chunks.
     pub chunks: Vec<Chunk>,
 }
 
-/// A part of an upload: scans, and the poses that cover them.
+/// A part of a raw upload: scans, and the poses that cover them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Chunk {
     /// Poses of the body, oldest first.
     pub poses: Vec<GeoPose>,
-    /// Scans.
+    /// Scans, in any order.
     pub scans: Vec<Scan>,
 }
 
-/// What an upload comes to.
+/// The evidence of one upload, and what was left out of it.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Contributed {
-    /// What the map learns.
-    pub contribution: Contribution,
-    /// Detections left out.
+pub struct BuiltEvidence {
+    /// What the upload adds to the map.
+    pub delta: EvidenceDelta,
+    /// Detections that were dropped.
     pub dropped: Dropped,
 }
 
-/// Why an upload cannot be used.
+/// Why no evidence can be built from an upload.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Refusal {
+pub enum BuildError {
     /// No pose is known well enough.
     #[error("the poses are not known well enough to map from: at most {position_m} m and {yaw_deg} degrees")]
     PoseTooUncertain {
@@ -69,113 +69,120 @@ pub enum Refusal {
     /// The way is too long for one upload.
     #[error("the upload touches {tiles} tiles; split it into parts of at most {most}")]
     TooManyTiles {
-        /// Tiles touched.
+        /// Tiles that the upload touches.
         tiles: usize,
         /// Tiles of one upload, at most.
         most: usize,
     },
     /// A scan names an unknown sensor.
     #[error(transparent)]
-    Scans(#[from] batch::Error),
+    Scans(#[from] gate::UnknownSensor),
     /// The poses form no trajectory.
     #[error(transparent)]
     Poses(#[from] odometry::Error),
 }
 
-/// Places an upload's detections on the map. The scans are put in order of time.
+/// Builds the evidence of an upload: projects its detections onto the map. The scans are sorted by time.
 ///
 /// # Errors
-/// When nothing of it counts, or it lies where there is no map.
-pub fn contribute(mut submission: Submission, limits: &Limits) -> Result<Contributed, Refusal> {
-    let mut placing = Placing::new(limits);
-    for chunk in &mut submission.chunks {
+/// When none of its detections count, or it lies where there is no map.
+pub fn build_evidence(mut upload: RawUpload, limits: &EvidenceLimits) -> Result<BuiltEvidence, BuildError> {
+    let mut builder = DeltaBuilder::new(limits);
+    for chunk in &mut upload.chunks {
         chunk.scans.sort_by_key(|scan| scan.time_us);
-        placing.chunk(&submission.mounts, chunk)?;
+        builder.chunk(&upload.mounts, chunk)?;
     }
-    let sent = submission.chunks.iter().flat_map(|chunk| &chunk.scans).map(|scan| scan.len() as u64).sum();
-    placing.finish(sent)
+    let sent = upload.chunks.iter().flat_map(|chunk| &chunk.scans).map(|scan| scan.len() as u64).sum();
+    builder.finish(sent)
 }
 
-struct Placing<'a> {
-    limits: &'a Limits,
+/// An evidence delta while it is built.
+struct DeltaBuilder<'a> {
+    limits: &'a EvidenceLimits,
     grids: HashMap<Zone, Grid>,
-    gathering: Gathering,
+    accumulator: EvidenceAccumulator,
     /// Detections that count.
     detections: u64,
     dropped: Dropped,
-    /// Poses that were not known well enough.
+    /// Poses that are not known well enough.
     uncertain: usize,
 }
 
-impl<'a> Placing<'a> {
-    fn new(limits: &'a Limits) -> Self {
+impl<'a> DeltaBuilder<'a> {
+    fn new(limits: &'a EvidenceLimits) -> Self {
         Self {
             limits,
             grids: HashMap::new(),
-            gathering: Gathering::default(),
+            accumulator: EvidenceAccumulator::default(),
             detections: 0,
             dropped: Dropped::default(),
             uncertain: 0,
         }
     }
 
-    fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), Refusal> {
-        let cut = cut(&chunk.poses, self.limits)?;
-        self.uncertain += cut.uncertain;
+    fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), BuildError> {
+        let limits = &self.limits.segments;
+        self.uncertain += chunk.poses.iter().filter(|pose| !limits.allows(pose)).count();
         let mut scans = &chunk.scans[..];
-        for stretch in &cut.stretches {
-            let [first, .., last] = &stretch.poses[..] else { continue };
+        for segment in &split_segments(&chunk.poses, limits)? {
+            let [first, .., last] = segment.poses else { continue };
             let (before, rest) = scans.split_at(scans.partition_point(|scan| scan.time_us < first.time_us));
             let (covered, rest) = rest.split_at(rest.partition_point(|scan| scan.time_us <= last.time_us));
             self.dropped.without_pose += detections(before);
-            self.stretch(stretch, covered, mounts)?;
+            self.segment(segment, covered, mounts)?;
             scans = rest;
         }
         self.dropped.without_pose += detections(scans);
         Ok(())
     }
 
-    /// Lays a stretch out in its own zone and in those whose border is near. The same detections
+    /// Projects a segment into its own zone and into those whose border is near. The same detections
     /// are counted once.
-    fn stretch(&mut self, stretch: &Stretch, scans: &[Scan], mounts: &[Mount]) -> Result<(), Refusal> {
-        for (rank, zone) in stretch.zones.iter().enumerate() {
+    fn segment(
+        &mut self,
+        segment: &DriveSegment<'_>,
+        scans: &[Scan],
+        mounts: &[Mount],
+    ) -> Result<(), BuildError> {
+        for (rank, zone) in segment.zones.iter().enumerate() {
             let grid = match self.grids.entry(*zone) {
                 Entry::Occupied(grid) => grid.into_mut(),
-                Entry::Vacant(place) => place.insert(Grid::new(*zone)?),
+                Entry::Vacant(entry) => entry.insert(Grid::new(*zone)?),
             };
             let poses =
-                stretch.poses.iter().map(|p| Ok((p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad)?)));
+                segment.poses.iter().map(|p| Ok((p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad)?)));
             let poses = Trajectory::new(poses.collect::<Result<Vec<_>, geo::Error>>()?)?;
-            let scale = grid.scale_factor(stretch.poses[stretch.poses.len() / 2].at)?;
+            let scale = grid.scale_factor(segment.poses[segment.poses.len() / 2].at)?;
             let gate = &self.limits.gate;
-            let (placed, dropped) = self.gathering.add(*zone, scans, mounts, &poses, scale, gate)?;
+            let (counted, dropped) = self.accumulator.add(*zone, scans, mounts, &poses, scale, gate)?;
             if rank == 0 {
-                self.detections += placed;
+                self.detections += counted;
                 self.dropped.add(&dropped);
             }
-            let (tiles, most) = (self.gathering.tiles(), self.limits.max_tiles);
+            let (tiles, most) = (self.accumulator.tiles(), self.limits.max_tiles);
             if tiles > most {
-                return Err(Refusal::TooManyTiles { tiles, most });
+                return Err(BuildError::TooManyTiles { tiles, most });
             }
         }
         Ok(())
     }
 
-    /// Something must count; if nothing does, the main reason is told.
-    fn finish(self, sent: u64) -> Result<Contributed, Refusal> {
-        let Self { limits, gathering, detections, dropped, uncertain, .. } = self;
+    /// The delta; where no detection counts, the main reason.
+    fn finish(self, sent: u64) -> Result<BuiltEvidence, BuildError> {
+        let Self { limits, accumulator, detections, dropped, uncertain, .. } = self;
         if detections > 0 {
-            return Ok(Contributed { contribution: gathering.finish(detections), dropped });
+            return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped });
         }
         let Dropped { too_slow, too_far, moving, without_pose } = dropped;
         let main = too_slow.max(too_far).max(moving).max(without_pose);
         Err(if main > 0 && main == without_pose && uncertain > 0 {
-            let (position_m, yaw_deg) = (limits.max_sigma_position_m, limits.max_sigma_yaw_rad.to_degrees());
-            Refusal::PoseTooUncertain { position_m, yaw_deg }
+            let position_m = limits.segments.max_sigma_position_m;
+            let yaw_deg = limits.segments.max_sigma_yaw_rad.to_degrees();
+            BuildError::PoseTooUncertain { position_m, yaw_deg }
         } else if main > 0 && main == too_slow {
-            Refusal::TooSlow { min_speed_mps: limits.gate.min_speed_mps }
+            BuildError::TooSlow { min_speed_mps: limits.gate.min_speed_mps }
         } else {
-            Refusal::NoDetections { sent }
+            BuildError::NoDetections { sent }
         })
     }
 }

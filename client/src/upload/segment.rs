@@ -1,0 +1,41 @@
+//! The gate on the segments of a drive.
+
+use echofix_core::drive::GeoPose;
+use echofix_core::gate::{Dropped, gate_scan};
+use echofix_core::geo::{self, Grid};
+use echofix_core::odometry::{BodyVelocity, Trajectory};
+use echofix_core::scan::{Mount, Scan};
+
+use super::config::RecorderConfig;
+
+/// The detections within a segment that can be mapped; `odometry`, where it covers a scan, gives the velocity
+/// more accurately than the poses' differences do.
+pub(super) fn gated(
+    segment: &[GeoPose],
+    scans: &[Scan],
+    mounts: &[Mount],
+    odometry: &Trajectory,
+    config: &RecorderConfig,
+    dropped: &mut Dropped,
+) -> Vec<Scan> {
+    let way = on_the_grid(segment).unwrap_or_default();
+    let velocity = |time_us: i64| -> Option<BodyVelocity> {
+        way.at(time_us)?;
+        odometry.velocity_at(time_us).or_else(|| way.velocity_at(time_us))
+    };
+    let mut gated = scans.to_vec();
+    for scan in &mut gated {
+        let velocity = velocity(scan.time_us);
+        dropped.add(&gate_scan(scan, &mounts[scan.sensor], velocity, &config.gate));
+    }
+    gated.retain(|scan| !scan.is_empty());
+    gated
+}
+
+/// The segment in metres of the grid; close enough to ground metres for a velocity.
+fn on_the_grid(segment: &[GeoPose]) -> Option<Trajectory> {
+    let grid = Grid::of(segment.first()?.at).ok()?;
+    let poses: Result<Vec<_>, geo::Error> =
+        segment.iter().map(|p| Ok((p.time_us, grid.pose_from_geodetic(p.at, p.yaw_rad)?))).collect();
+    Trajectory::new(poses.ok()?).ok()
+}
