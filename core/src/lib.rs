@@ -15,6 +15,7 @@
 //! - [`evidence`]: what a map cell knows; the inverse sensor model; what an upload contributes.
 //! - [`contribution`]: from scans and poses to what an upload contributes, zone by zone.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
+//! - [`time`]: microseconds and days.
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
@@ -38,6 +39,7 @@ pub mod pose;
 pub mod scan;
 mod sealed;
 pub mod tile;
+pub mod time;
 pub mod varint;
 pub mod vetting;
 pub mod window;

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use common::{NOON_US, Running, chunk, chunk_of, drive, header, header_of};
 use echofix_core::tile;
+use echofix_core::time::{DAY_US, day_of};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::get_tiles_response::Part;
 use echofix_proto::v1::{
@@ -109,7 +110,7 @@ async fn an_upload_comes_back_as_tiles() {
         expectations: false,
     };
     let coverage = server.map().await.get_coverage(route).await.unwrap().into_inner();
-    let day = (NOON_US / 86_400_000_000) as u32;
+    let day = u32::from(day_of(NOON_US));
     assert!(coverage.cells[0] > 20 && coverage.cells[1..] == [0, 0], "{coverage:?}");
     assert_eq!(coverage.newest_day, [day, 0, 0]);
     server.stop().await;
@@ -200,7 +201,7 @@ async fn unusable_uploads_are_refused_with_their_reason() {
     let server = Running::with(dir.path(), &[("mapping.max_age_days", "3")]).await;
     let days = |days: i64| {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
-        now.as_micros() as i64 - days * 86_400_000_000
+        now.as_micros() as i64 - days * DAY_US
     };
     let cases: [(&str, SpoilWith); 6] = [
         ("POSE_TOO_UNCERTAIN", &|m| chunk_of(m).0.sigma_position_m.fill(0.5)),

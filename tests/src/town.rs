@@ -2,9 +2,9 @@
 
 use echofix_core::drive::Drive;
 use echofix_core::geo::LatLon;
+use echofix_core::time::DAY_US;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
-const DAY_US: i64 = 86_400_000_000;
 /// Day 0 of the town: 2026-01-01.
 const FIRST_DAY: i64 = 20_454;
 

@@ -7,10 +7,10 @@ use echofix_core::geo::{self, Zone};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
+use echofix_core::time::DAY_US;
 
 use super::{Config, Form, Upload, stretch};
 
-const DAY_US: i64 = 86_400_000_000;
 /// Who stays near one place this long has arrived, as far as [`Config::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 

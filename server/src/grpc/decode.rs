@@ -6,6 +6,7 @@ use echofix_core::geo::LatLon;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
+use echofix_core::time::DAY_US;
 use echofix_proto::v1;
 
 mod scans;
@@ -24,7 +25,7 @@ pub const MAX_SCANS: usize = 16_384;
 /// Poses of one message, at most.
 pub const MAX_POSES: usize = 65_536;
 /// Microseconds of the last day the map can tell, in the year 2149.
-const END_OF_TIME_US: i64 = 65_535 * 86_400_000_000;
+const END_OF_TIME_US: i64 = 65_535 * DAY_US;
 /// Metres from the odometry frame's origin that no vehicle reaches.
 const MAX_ODOMETRY_M: f64 = 1e7;
 /// Metres from the body's origin that no radar is mounted at.

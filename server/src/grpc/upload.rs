@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use echofix_core::contribution::{Contributed, Refusal, contribute};
 use echofix_core::evidence::Pass;
+use echofix_core::time::day_of;
 use echofix_proto::v1::{DroppedDetections, TileContribution, UploadRequest, UploadResponse};
 use prost::Message;
 use tokio::sync::Semaphore;
@@ -26,8 +27,6 @@ use crate::metrics::{Metrics, Outcome};
 use crate::store::{MapStore, Receipt, Upload};
 use receive::{Body, Received};
 
-/// Microseconds of a day.
-const DAY_US: i64 = 86_400_000_000;
 /// When a vehicle that was turned away should come again.
 const RETRY: Duration = Duration::from_secs(2);
 
@@ -110,7 +109,7 @@ impl MappingApi {
         if most_days == 0 {
             return Ok(0);
         }
-        let today = (now_us() / DAY_US) as u16;
+        let today = day_of(now_us());
         let age_days = today.saturating_sub(day);
         if age_days > most_days {
             return Err(Error::TooOld { age_days, most_days });

@@ -1,12 +1,14 @@
 //! Once a day, what was kept long enough is made final.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
+
+use echofix_core::time::day_of;
 
 use super::Shared;
+use crate::grpc::now_us;
 
 /// How often the day is looked at.
 const TICK: Duration = Duration::from_hours(1);
-const DAY_S: u64 = 86_400;
 
 /// Settles for as long as it is polled.
 pub(super) async fn keep(shared: Shared) {
@@ -18,7 +20,7 @@ pub(super) async fn keep(shared: Shared) {
     loop {
         ticks.tick().await;
         let operations = shared.operations.clone();
-        let before = before_day(SystemTime::now(), retention_days);
+        let before = before_day(now_us(), retention_days);
         match tokio::task::spawn_blocking(move || operations.settle(before)).await {
             Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are made final"),
             Ok(Ok(None)) => {}
@@ -29,18 +31,18 @@ pub(super) async fn keep(shared: Shared) {
 }
 
 /// What was written before this day is no longer kept.
-fn before_day(now: SystemTime, retention_days: u16) -> u16 {
-    let today = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() / DAY_S);
-    u16::try_from(today).unwrap_or(u16::MAX).saturating_sub(retention_days)
+fn before_day(now_us: i64, retention_days: u16) -> u16 {
+    day_of(now_us).saturating_sub(retention_days)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echofix_core::time::DAY_US;
 
     #[test]
     fn the_retention_is_counted_back_from_today() {
-        let day = |day| UNIX_EPOCH + Duration::from_secs(day * DAY_S + 7);
+        let day = |day| day * DAY_US + 7;
         assert_eq!(before_day(day(20_000), 90), 19_910);
         assert_eq!(before_day(day(3), 90), 0);
     }

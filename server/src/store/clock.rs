@@ -2,20 +2,15 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-const DAY_US: i64 = 86_400_000_000;
+use echofix_core::time::day_of;
 
 /// Microseconds since the Unix epoch.
 pub(super) fn now_us() -> i64 {
     #[cfg(test)]
     if let Some(day) = tests::TODAY.get() {
-        return i64::from(day) * DAY_US;
+        return i64::from(day) * echofix_core::time::DAY_US;
     }
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64)
-}
-
-/// The UTC day of a time, counted from the Unix epoch.
-pub(super) fn day_of(time_us: i64) -> u16 {
-    (time_us / DAY_US).clamp(0, i64::from(u16::MAX)) as u16
 }
 
 /// The UTC day, counted from the Unix epoch.

@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::time::day_of;
 use tokio::sync::watch;
 use uuid::Uuid;
 
@@ -49,7 +50,8 @@ impl EmbeddedStore {
         if base.last < index.before() {
             return Err(build::uncovered(index.before(), base.last));
         }
-        let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
+        let manifest =
+            Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
         let policy = options.policy.digest();
         let lineage = match &manifest {
             Some(manifest) if manifest.policy == policy => manifest.lineage,
@@ -105,7 +107,7 @@ impl EmbeddedStore {
     /// Writes a control; the caller holds [`Shared::decide`].
     fn control(&self, action: Action) -> Result<u64, Error> {
         let at_us = clock::now_us();
-        let (note, payload) = entry::control(clock::day_of(at_us), Control { at_us, action });
+        let (note, payload) = entry::control(day_of(at_us), Control { at_us, action });
         // Settled segments end where the settlement begins.
         let fresh = matches!(action, Action::Settle(_));
         let written = self.append(note, fresh, payload)?;

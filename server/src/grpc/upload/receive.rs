@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use echofix_core::contribution::{Chunk, Submission};
 use echofix_core::scan::Mount;
+use echofix_core::time::{DAY_US, day_of};
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{EvidenceChunk, UploadChunk, UploadHeader, UploadRequest};
 use prost::Message;
@@ -11,7 +12,6 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::Status;
 use uuid::Uuid;
 
-use super::DAY_US;
 use super::evidence::Evidence;
 use crate::grpc::violation::{Violation, require, required};
 use crate::grpc::{decode, now_us, status};
@@ -129,7 +129,7 @@ impl<'a> Receiving<'a> {
     fn finish(self, header: &UploadHeader) -> Result<Received, Violation> {
         let sent = !self.chunks.is_empty() || !self.evidence.is_empty();
         require(sent, "chunk", "is missing; send at least one")?;
-        let day = (self.reference_time_us / DAY_US) as u16;
+        let day = day_of(self.reference_time_us);
         let body = if self.chunks.is_empty() {
             Body::Evidence(self.evidence)
         } else {

@@ -66,7 +66,7 @@ fn history_groups_uploads_and_tells_what_controls_did() {
     store.revoke_contributor("car-1").unwrap();
     commit_all(&store, &uploads[6..]);
     store.rollback(8).unwrap();
-    let at_us = 101 * 86_400_000_000;
+    let at_us = 101 * echofix_core::time::DAY_US;
     let control = |number, decision, takes_back| Event {
         first: number,
         last: number,
