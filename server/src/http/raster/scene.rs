@@ -1,9 +1,10 @@
 //! What contributes to a view, and what the view then shows.
 
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::hash::Hasher;
 use std::sync::Arc;
 
 use echofix_core::geo::{Grid, TILE_M, TileId, Zone};
+use siphasher::sip::SipHasher24;
 
 use super::plane::{Plane, TILE_SHIFT};
 use super::view::Lattice;
@@ -65,22 +66,33 @@ impl Scene {
         Ok(Self::Near(parts))
     }
 
-    /// Names what the view shows of a map of some lineage: equal tags, equal pictures.
+    /// Names what the view shows of a map of some lineage: equal tags, equal pictures. Clients keep tags for long and send
+    /// them to other builds of the service: they rest on names in addresses and on numbers, not on the code's own.
     pub fn tag(&self, layer: Layer, view: &View, lineage: u64, newest_day: u16) -> String {
-        let mut hash = DefaultHasher::new();
-        (env!("CARGO_PKG_VERSION"), layer, view, lineage).hash(&mut hash);
+        let mut hash = SipHasher24::new();
+        let mut text = |text: &str| {
+            hash.write(&(text.len() as u64).to_le_bytes());
+            hash.write(text.as_bytes());
+        };
+        text(env!("CARGO_PKG_VERSION"));
+        text(layer.name());
+        let mut put = |numbers: &[u64]| numbers.iter().for_each(|number| hash.write(&number.to_le_bytes()));
+        let View { z, x, y, side } = *view;
+        put(&[z.into(), x.into(), y.into(), side as u64, lineage]);
         if layer == Layer::Age {
-            newest_day.hash(&mut hash);
+            put(&[newest_day.into()]);
         }
         match self {
             Self::Far(overview) => {
                 for (rectangle, version, spot) in overview.seen_in(view) {
-                    (rectangle.x0, rectangle.y0, version, spot.level, spot.day).hash(&mut hash);
+                    let corner = [rectangle.x0 as u64, rectangle.y0 as u64];
+                    put(&[corner[0], corner[1], version, spot.level.into(), spot.day.into()]);
                 }
             }
             Self::Near(parts) => {
                 for tile in parts.iter().flat_map(|part| &part.tiles) {
-                    (tile.id, tile.version).hash(&mut hash);
+                    let TileId { zone, y, x } = tile.id;
+                    put(&[zone.epsg().into(), y as u64, x as u64, tile.version]);
                 }
             }
         }
