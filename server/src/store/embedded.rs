@@ -51,7 +51,7 @@ impl EmbeddedStore {
             return Err(build::uncovered(index.before(), base.last));
         }
         let manifest =
-            Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
+            Manifest::read(dir.root(), &options.policy)?.filter(|manifest| manifest.journal == found.id());
         let policy = options.policy.digest();
         let lineage = match &manifest {
             Some(manifest) if manifest.policy == policy => manifest.lineage,

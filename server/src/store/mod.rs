@@ -22,6 +22,7 @@ mod base;
 mod build;
 mod canvas;
 mod catalog;
+mod checksum;
 mod clock;
 mod data_dir;
 mod embedded;

@@ -12,6 +12,7 @@ use echofix_core::varint::{Reader, Writer};
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::Quarantined as Entry;
 
+use super::checksum::{SUM, seal, sealed};
 use super::vetting::Quarantined;
 
 /// How the keys begin: longer than a tile's.
@@ -27,7 +28,7 @@ pub(super) fn key(number: u64) -> Vec<u8> {
 
 pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
     let Quarantined { number, reason, upload } = quarantined;
-    let mut out = Writer::default();
+    let mut out = Writer { bytes: vec![0; SUM] };
     out.put(u64::from(upload.zone.epsg()));
     for metres in upload.place {
         out.put_signed((metres * 1e3).round() as i64);
@@ -44,16 +45,13 @@ pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
         out.put_signed(part.into());
     }
     out.bytes.extend_from_slice(&upload.contributor.to_le_bytes());
-    [&checksum(&key(*number), &out.bytes)[..], &out.bytes].concat()
+    seal(&mut out.bytes, &key(*number));
+    out.bytes
 }
 
 pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
     let number = u64::from_be_bytes(key.strip_prefix(PREFIX)?.try_into().ok()?);
-    let (sum, rest) = value.split_at_checked(4)?;
-    if checksum(key, rest) != sum {
-        return None;
-    }
-    let mut input = Reader { rest };
+    let mut input = Reader { rest: sealed(value, key)? };
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
     let place = [metres()?, metres()?];
@@ -70,10 +68,6 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
     let contributor = u64::from_le_bytes(input.rest.try_into().ok()?);
     let upload = Entry { zone, place, offset: known.then_some(offset), contributor, day };
     Some(Quarantined { number, reason, upload })
-}
-
-fn checksum(key: &[u8], rest: &[u8]) -> [u8; 4] {
-    crc32c::crc32c_append(crc32c::crc32c(key), rest).to_le_bytes()
 }
 
 #[cfg(test)]

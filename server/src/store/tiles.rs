@@ -9,6 +9,7 @@
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
+use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -20,6 +21,7 @@ use uuid::Uuid;
 
 use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
+use super::checksum::{SUM, seal, sealed};
 use super::key::key;
 use super::vetting::Quarantined;
 use super::{Error, TileInfo, pieces, quarantine};
@@ -28,7 +30,8 @@ use super::{Error, TileInfo, pieces, quarantine};
 const JOURNAL: &[u8] = b"journal";
 /// Where it is kept how far the tiles go.
 const STATE: &[u8] = b"state";
-const HEAD: usize = 22;
+/// Bytes of a value between its checksum and the tile.
+const HEAD: usize = 18;
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
@@ -44,7 +47,8 @@ pub(super) struct Tiles {
 
 impl Tiles {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let db = unlocked(&pieces::config(dir, cache_bytes))?;
+        wait_until_unlocked(dir);
+        let db = pieces::config(dir, cache_bytes).open()?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { db, tree, changing: Mutex::default(), whole: RwLock::default() })
     }
@@ -179,48 +183,42 @@ impl Value {
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
         };
-        let mut bytes = vec![0; 4];
+        let mut bytes = vec![0; SUM];
         bytes.extend_from_slice(&info.version.to_le_bytes());
         bytes.extend_from_slice(&info.cells.to_le_bytes());
         bytes.extend_from_slice(&info.newest_day.to_le_bytes());
         bytes.extend_from_slice(&info.bytes.to_le_bytes());
         bytes.extend_from_slice(&encoded);
         bytes.extend_from_slice(&tile::encode_ledger(&folded.ledger));
-        let checksum = checksum(&key(id), &bytes);
-        bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+        seal(&mut bytes, &key(id));
         Self { bytes, info }
     }
 }
 
 fn state(folded: u64, digest: u64) -> Vec<u8> {
-    let mut bytes = vec![0; 4];
+    let mut bytes = vec![0; SUM];
     bytes.extend_from_slice(&folded.to_le_bytes());
     bytes.extend_from_slice(&digest.to_le_bytes());
-    let checksum = checksum(STATE, &bytes);
-    bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+    seal(&mut bytes, STATE);
     bytes
 }
 
 fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
-    let bytes: &[u8; 20] = bytes.try_into().ok()?;
-    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
-    let (folded, digest) = (word(4), word(12));
-    (state(folded, digest) == bytes).then_some((folded, digest))
+    let rest: &[u8; 16] = sealed(bytes, STATE)?.try_into().ok()?;
+    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| rest[at + i]));
+    Some((word(0), word(8)))
 }
 
-/// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
-/// threads end a little later. No other process has it, see [`super::data_dir`].
-fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
+/// Waits while an instance of this process that was just dropped still holds the files: sled's threads end a little
+/// later, and with them its lock goes. No other process has them, see [`super::data_dir`], and who drops an instance
+/// to open the next is one thread. So whoever got the lock for a moment here can leave it to sled. What is held for
+/// longer, sled itself refuses.
+fn wait_until_unlocked(dir: &Path) {
+    // sled 0.34 holds the lock of flock(2), as `File::try_lock` takes it, on this file.
+    let Ok(file) = File::open(dir.join("db")) else { return };
     let began = Instant::now();
-    loop {
-        match config.open() {
-            Err(sled::Error::Io(error))
-                if error.to_string().contains("could not acquire lock") && began.elapsed() < LOCK_WAIT =>
-            {
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            outcome => return outcome,
-        }
+    while matches!(file.try_lock(), Err(TryLockError::WouldBlock)) && began.elapsed() < LOCK_WAIT {
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 
@@ -236,24 +234,16 @@ fn parse(id: TileId, value: &[u8]) -> Result<Parsed<'_>, Error> {
 }
 
 fn parse_sound(id: TileId, value: &[u8]) -> Option<Parsed<'_>> {
-    let (head, body) = value.split_at_checked(HEAD)?;
-    if checksum(&key(id), value).to_le_bytes() != head[..4] {
-        return None;
-    }
+    let (head, body) = sealed(value, &key(id))?.split_at_checked(HEAD)?;
     let info = TileInfo {
         id,
-        version: u64::from_le_bytes(head[4..12].try_into().ok()?),
-        cells: u32::from_le_bytes(head[12..16].try_into().ok()?),
-        newest_day: u16::from_le_bytes(head[16..18].try_into().ok()?),
-        bytes: u32::from_le_bytes(head[18..22].try_into().ok()?),
+        version: u64::from_le_bytes(head[..8].try_into().ok()?),
+        cells: u32::from_le_bytes(head[8..12].try_into().ok()?),
+        newest_day: u16::from_le_bytes(head[12..14].try_into().ok()?),
+        bytes: u32::from_le_bytes(head[14..18].try_into().ok()?),
     };
     let (tile, ledger) = body.split_at_checked(info.bytes as usize)?;
     Some(Parsed { info, tile, ledger })
-}
-
-/// The key is part of the sum: a sound value under another tile's key is damage too.
-fn checksum(key: &[u8], value: &[u8]) -> u32 {
-    crc32c::crc32c_append(crc32c::crc32c(key), &value[4..])
 }
 
 fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
@@ -319,6 +309,23 @@ mod tests {
             tiles.tree.insert(&key, good).unwrap();
             prop_assert!(tiles.check().is_ok());
         }
+    }
+
+    /// Breaks it: not waiting for sled's threads, or for a lock of another file than sled's.
+    #[test]
+    fn an_instance_that_goes_is_waited_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = Tiles::open(dir.path(), 1 << 20).unwrap();
+        assert!(pieces::config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
+        let held = Duration::from_millis(200);
+        let began = Instant::now();
+        let goes = std::thread::spawn(move || {
+            std::thread::sleep(held);
+            drop(first);
+        });
+        assert!(Tiles::open(dir.path(), 1 << 20).is_ok());
+        assert!(began.elapsed() >= held);
+        goes.join().unwrap();
     }
 
     #[test]

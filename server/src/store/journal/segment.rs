@@ -13,9 +13,13 @@ use std::path::{Path, PathBuf};
 
 use uuid::Uuid;
 
+use crate::store::checksum::{seal, sealed};
+
 const MAGIC: [u8; 4] = *b"EFJ\x01";
 /// Bytes of a segment's header.
 pub(super) const HEADER: usize = 32;
+/// Bytes of a record's length, which precedes its checksummed frame.
+const LENGTH: usize = 4;
 /// Bytes of a record before its payload.
 pub(super) const RECORD_HEADER: usize = 24;
 
@@ -37,8 +41,7 @@ pub(super) fn header(journal: Uuid, first: u64) -> [u8; HEADER] {
     bytes[..4].copy_from_slice(&MAGIC);
     bytes[8..16].copy_from_slice(&first.to_le_bytes());
     bytes[16..].copy_from_slice(journal.as_bytes());
-    let checksum = crc32c::crc32c(&bytes[8..]);
-    bytes[4..8].copy_from_slice(&checksum.to_le_bytes());
+    seal(&mut bytes[4..], &[]);
     bytes
 }
 
@@ -57,8 +60,8 @@ pub(super) fn put_record(out: &mut Vec<u8>, number: u64, synced: u64, payload: &
     out.extend_from_slice(&number.to_le_bytes());
     out.extend_from_slice(&synced.to_le_bytes());
     out.extend_from_slice(payload);
-    let checksum = checksum(&out[start..]);
-    out[start + 4..start + 8].copy_from_slice(&checksum.to_le_bytes());
+    let (length, frame) = out[start..].split_at_mut(LENGTH);
+    seal(frame, length);
 }
 
 /// A record as it is on disk.
@@ -80,21 +83,14 @@ impl Record<'_> {
 pub(super) fn parse_record(bytes: &[u8]) -> Option<Record<'_>> {
     let length = u32_at(bytes, 0)? as usize;
     let record = bytes.get(..RECORD_HEADER.checked_add(length)?)?;
-    let sound = checksum(record) == u32_at(record, 4)?;
-    sound.then_some(Record {
-        number: u64_at(record, 8)?,
-        synced: u64_at(record, 16)?,
-        payload: &record[RECORD_HEADER..],
-    })
+    let (length, frame) = record.split_at_checked(LENGTH)?;
+    let rest = sealed(frame, length)?;
+    Some(Record { number: u64_at(rest, 0)?, synced: u64_at(rest, 8)?, payload: &rest[16..] })
 }
 
 /// The number a record at the start of the bytes would have, unchecked.
 pub(super) fn peek_number(bytes: &[u8]) -> Option<u64> {
     u64_at(bytes, 8)
-}
-
-fn checksum(record: &[u8]) -> u32 {
-    crc32c::crc32c_append(crc32c::crc32c(&record[..4]), &record[8..])
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {

@@ -148,6 +148,42 @@ fn another_policy_folds_the_map_anew_and_is_of_another_lineage() {
     assert_eq!(asking_for(1).lineage(), other);
 }
 
+/// Catches: an update of the service that folds the map anew or gives it another lineage, because names in the code or the
+/// way they are printed changed.
+#[test]
+fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
+    let dir = tempfile::tempdir().unwrap();
+    let vetted = mapping().policy();
+    let with = |policy| EmbeddedStore::open(&Options { policy, ..options(dir.path()) }).unwrap();
+    let store = with(vetted);
+    commit_all(&store, &some_uploads(3));
+    caught_up(&store);
+    let lineage = store.lineage();
+    drop(store);
+    let marker = tiles_dir(dir.path()).join("marker");
+    std::fs::write(&marker, "these tiles").unwrap();
+    let manifest = dir.path().join("manifest");
+    let current = std::fs::read(&manifest).unwrap();
+    manifest::write_legacy(dir.path(), &vetted);
+    assert_ne!(std::fs::read(&manifest).unwrap(), current);
+    let store = with(vetted);
+    assert_eq!(store.progress().borrow().state, State::Serving, "nothing is folded anew");
+    assert!(store.lineage() == lineage && marker.exists());
+    assert_eq!(std::fs::read(&manifest).unwrap(), current, "it is rewritten");
+    drop(store);
+
+    manifest::write_legacy(dir.path(), &vetted);
+    let store = with(Policy { publish_contributors: 7, ..vetted });
+    assert_ne!(store.lineage(), lineage);
+    caught_up(&store);
+    assert!(!marker.exists(), "under another policy the tiles are made anew");
+    assert_eq!(std::fs::read(&manifest).unwrap()[..4], *b"EFM\x04");
+}
+
+fn mapping() -> crate::mapping::MappingConfig {
+    crate::mapping::MappingConfig::default()
+}
+
 #[test]
 fn other_tools_read_a_backup() {
     let dir = tempfile::tempdir().unwrap();
