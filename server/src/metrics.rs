@@ -10,7 +10,7 @@ use prometheus_client::registry::{Registry, Unit};
 
 /// What came of a request: a verdict, `COUNTED`, or the reason of a refusal.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub struct Outcome {
+pub struct OutcomeLabel {
     /// One of a fixed set of words.
     pub outcome: &'static str,
 }
@@ -19,9 +19,9 @@ pub struct Outcome {
 pub struct Metrics {
     registry: Registry,
     /// Localization requests by outcome.
-    pub fixes: Family<Outcome, Counter>,
+    pub fixes: Family<OutcomeLabel, Counter>,
     /// Uploads by outcome.
-    pub uploads: Family<Outcome, Counter>,
+    pub uploads: Family<OutcomeLabel, Counter>,
     /// Seconds spent aligning a batch.
     pub align_seconds: Histogram,
     /// Seconds a localization request waited for a compute slot.
@@ -29,9 +29,9 @@ pub struct Metrics {
     /// Seconds from an upload's last byte to its acknowledgement.
     pub commit_seconds: Histogram,
     /// Requests whose tiles were all in the cache, and others, by outcome `hit` and `miss`.
-    pub windows: Family<Outcome, Counter>,
+    pub windows: Family<OutcomeLabel, Counter>,
     /// Answers asked again of the exhaustive engine, by outcome `agree` and `differ`.
-    pub confirmations: Family<Outcome, Counter>,
+    pub confirmations: Family<OutcomeLabel, Counter>,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
     /// Contributions in the journal that are not folded yet.
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn what_was_counted_is_rendered() {
         let metrics = Metrics::default();
-        metrics.fixes.get_or_create(&Outcome { outcome: "USABLE" }).inc();
+        metrics.fixes.get_or_create(&OutcomeLabel { outcome: "USABLE" }).inc();
         metrics.align_seconds.observe(0.01);
         let text = metrics.render();
         assert!(text.contains("echofix_fixes_total{outcome=\"USABLE\"} 1"), "{text}");

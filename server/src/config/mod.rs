@@ -61,9 +61,9 @@ pub enum Error {
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Vehicles.
-    pub grpc: Listen,
+    pub grpc: ListenConfig,
     /// Operators.
-    pub http: Listen,
+    pub http: ListenConfig,
     /// Where everything is kept.
     pub store: StoreConfig,
     /// What an upload must fulfil.
@@ -71,7 +71,7 @@ pub struct Config {
     /// How to locate.
     pub locating: LocatingConfig,
     /// What clients may take.
-    pub limits: Limits,
+    pub limits: LimitsConfig,
     /// What is written to standard error.
     pub log: LogConfig,
 }
@@ -79,7 +79,7 @@ pub struct Config {
 /// A port.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Listen {
+pub struct ListenConfig {
     /// Address and port; port 0 takes any free one.
     pub listen: SocketAddr,
 }
@@ -99,7 +99,7 @@ pub struct StoreConfig {
 /// What clients may take.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Limits {
+pub struct LimitsConfig {
     /// Connections to each port.
     pub connections: usize,
     /// Requests at once on one gRPC connection.
@@ -126,7 +126,7 @@ pub struct Limits {
     pub shutdown_s: u64,
 }
 
-impl Limits {
+impl LimitsConfig {
     /// Silence in the middle of a request.
     #[must_use]
     pub fn stall(&self) -> Duration {

@@ -20,20 +20,20 @@ use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
 
+use super::invalid_field::{InvalidField, require, required};
 use super::status;
-use super::violation::{Violation, require, required};
 use super::{blocking, decode, now_us};
 use crate::feed::{Feed, FixEvent};
-use crate::locating::{Admitted, Answer, Locator, Question, Refusal, verdict_word};
-use crate::metrics::{Metrics, Outcome};
+use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
+use crate::metrics::{Metrics, OutcomeLabel};
 use encode::{BatchFacts, milliseconds, reason, refused, response};
 
 /// The service's localization half.
 pub struct LocalizationApi {
-    inner: Arc<Inner>,
+    inner: Arc<Localization>,
 }
 
-struct Inner {
+struct Localization {
     answered: AtomicU64,
     locator: Arc<Locator>,
     feed: Arc<Feed>,
@@ -44,7 +44,7 @@ impl LocalizationApi {
     /// Answers from a locator; tells the feed and the metrics what came of each question.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
-        Self { inner: Arc::new(Inner { answered: AtomicU64::new(0), locator, feed, metrics }) }
+        Self { inner: Arc::new(Localization { answered: AtomicU64::new(0), locator, feed, metrics }) }
     }
 
     /// Answers one question on this thread, from its columns to its answer.
@@ -98,7 +98,7 @@ fn as_message(status: &Status) -> pb::Status {
     prost::Message::decode(status.details()).ok().filter(|s: &pb::Status| s.code != 0).unwrap_or_else(plain)
 }
 
-impl Inner {
+impl Localization {
     async fn answer(
         self: &Arc<Self>,
         request: LocalizeRequest,
@@ -106,10 +106,10 @@ impl Inner {
     ) -> Result<LocalizeResponse, Status> {
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
-        let (response, doubt) = blocking(move || inner.work(request, deadline, admitted)).await??;
-        if let Some(doubt) = doubt {
+        let (response, check) = blocking(move || inner.work(request, deadline, admitted)).await??;
+        if let Some(check) = check {
             let inner = Arc::clone(self);
-            tokio::task::spawn_blocking(move || inner.confirm(doubt));
+            tokio::task::spawn_blocking(move || inner.run_check(check));
         }
         Ok(response)
     }
@@ -121,7 +121,7 @@ impl Inner {
         request: LocalizeRequest,
         deadline: Option<Instant>,
         mut admitted: Admitted,
-    ) -> Result<(LocalizeResponse, Option<Doubt>), Status> {
+    ) -> Result<(LocalizeResponse, Option<SampledCheck>), Status> {
         let asked = self.question(request, deadline).map_err(|violation| {
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
@@ -131,8 +131,8 @@ impl Inner {
         let answer = self.locator.locate(&asked.question, &mut admitted).map_err(|r| self.refuse(&r))?;
         let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
         self.tell(&answer, &response, at.lat_deg, at.lon_deg);
-        let doubt = self.is_sampled().then(|| Doubt { question: asked.question, answer, admitted });
-        Ok((response, doubt))
+        let check = self.is_sampled().then(|| SampledCheck { question: asked.question, answer, admitted });
+        Ok((response, check))
     }
 
     /// True for the share of the answers that is to be confirmed, evenly spread.
@@ -143,9 +143,9 @@ impl Inner {
     }
 
     /// Asks the exhaustive engine the same; computes for long.
-    fn confirm(&self, doubt: Doubt) {
-        let Doubt { question, answer, mut admitted } = doubt;
-        let outcome = match self.locator.confirms(&question, &answer, &mut admitted) {
+    fn run_check(&self, check: SampledCheck) {
+        let SampledCheck { question, answer, mut admitted } = check;
+        let outcome = match self.locator.check_sample(&question, &answer, &mut admitted) {
             Ok(true) => "agree",
             Ok(false) => {
                 tracing::warn!("the exhaustive search found another pose than the answer's");
@@ -156,15 +156,19 @@ impl Inner {
                 return;
             }
         };
-        self.metrics.confirmations.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.confirmations.get_or_create(&OutcomeLabel { outcome }).inc();
     }
 
-    fn refuse(&self, refusal: &Refusal) -> Status {
+    fn refuse(&self, refusal: &LocateRefusal) -> Status {
         self.count(reason(refusal));
         refused(refusal)
     }
 
-    fn question(&self, request: LocalizeRequest, deadline: Option<Instant>) -> Result<Asked, Violation> {
+    fn question(
+        &self,
+        request: LocalizeRequest,
+        deadline: Option<Instant>,
+    ) -> Result<DecodedRequest, InvalidField> {
         let batch = decode::batch(request.batch, "batch")?;
         let prior = required(request.prior, "prior")?;
         let (at, yaw_rad) = decode::geodetic_pose(prior.pose, "prior.pose")?;
@@ -178,8 +182,8 @@ impl Inner {
         let reference_time_us = batch.reference_time_us;
         let batch =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
-                .map_err(|e| Violation::new("batch.odometry", e))?;
-        let question = Question {
+                .map_err(|e| InvalidField::new("batch.odometry", e))?;
+        let question = LocateRequest {
             batch,
             at,
             yaw_rad,
@@ -190,15 +194,21 @@ impl Inner {
             deadline,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
-        Ok(Asked { question, reference_time_us, alert_limit_m: limit })
+        Ok(DecodedRequest { question, reference_time_us, alert_limit_m: limit })
     }
 
     fn count(&self, outcome: &'static str) {
-        self.metrics.fixes.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.fixes.get_or_create(&OutcomeLabel { outcome }).inc();
     }
 
     /// Metrics and the operators' feed.
-    fn tell(&self, answer: &Answer, response: &LocalizeResponse, prior_lat_deg: f64, prior_lon_deg: f64) {
+    fn tell(
+        &self,
+        answer: &LocateAnswer,
+        response: &LocalizeResponse,
+        prior_lat_deg: f64,
+        prior_lon_deg: f64,
+    ) {
         let word = match response.status() {
             FixStatus::AboveAlertLimit => "ABOVE_ALERT_LIMIT",
             _ => verdict_word(&answer.alignment.verdict),
@@ -207,7 +217,7 @@ impl Inner {
         self.metrics.align_seconds.observe(answer.timing.align.as_secs_f64());
         self.metrics.queue_seconds.observe(answer.timing.queued.as_secs_f64());
         let outcome = if answer.timing.window_cached { "hit" } else { "miss" };
-        self.metrics.windows.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.windows.get_or_create(&OutcomeLabel { outcome }).inc();
         let correction = answer.alignment.correction;
         let valid = response.protection.as_ref().is_some_and(|p| p.valid);
         self.feed.fixes.publish(FixEvent {
@@ -228,9 +238,9 @@ impl Inner {
 }
 
 /// An answer that is to be confirmed.
-struct Doubt {
-    question: Question,
-    answer: Answer,
+struct SampledCheck {
+    question: LocateRequest,
+    answer: LocateAnswer,
     admitted: Admitted,
 }
 
@@ -251,8 +261,8 @@ fn deadline(metadata: &MetadataMap) -> Option<Instant> {
     Instant::now().checked_add(wait)
 }
 
-struct Asked {
-    question: Question,
+struct DecodedRequest {
+    question: LocateRequest,
     reference_time_us: i64,
     alert_limit_m: f64,
 }

@@ -8,10 +8,10 @@
 pub mod decode;
 mod get_coverage;
 mod get_tiles;
+mod invalid_field;
 mod localize;
 pub mod status;
 mod upload;
-mod violation;
 
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -46,7 +46,7 @@ impl MapApi {
     }
 
     /// A place among the readers.
-    fn place(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
+    fn reader(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
         let busy = |_| status::overloaded("too many readers at once", std::time::Duration::from_secs(1));
         self.reads.clone().try_acquire_owned().map_err(busy)
     }
@@ -54,14 +54,14 @@ impl MapApi {
 
 #[tonic::async_trait]
 impl v1::map_service_server::MapService for MapApi {
-    type GetTilesStream = get_tiles::Answer;
+    type GetTilesStream = get_tiles::TileStream;
 
     async fn get_tiles(
         &self,
         request: Request<v1::GetTilesRequest>,
     ) -> Result<Response<Self::GetTilesStream>, Status> {
-        let place = self.place()?;
-        get_tiles::get_tiles(self.store.clone(), request.into_inner(), place, self.stall)
+        let permit = self.reader()?;
+        get_tiles::get_tiles(self.store.clone(), request.into_inner(), permit, self.stall)
             .await
             .map(Response::new)
     }
@@ -70,9 +70,9 @@ impl v1::map_service_server::MapService for MapApi {
         &self,
         request: Request<v1::GetCoverageRequest>,
     ) -> Result<Response<v1::GetCoverageResponse>, Status> {
-        let place = self.place()?;
+        let permit = self.reader()?;
         let known = (self.store.clone(), self.expectations.clone());
-        get_coverage::get_coverage(known, request.into_inner(), place).await.map(Response::new)
+        get_coverage::get_coverage(known, request.into_inner(), permit).await.map(Response::new)
     }
 }
 

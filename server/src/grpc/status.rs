@@ -7,7 +7,7 @@ use std::time::Duration;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-use super::violation::Violation;
+use super::invalid_field::InvalidField;
 use crate::store;
 
 /// The domain of every `google.rpc.ErrorInfo`.
@@ -15,7 +15,7 @@ const DOMAIN: &str = "echofix";
 
 /// `INVALID_ARGUMENT` with `google.rpc.BadRequest`: a field of the request breaks a rule.
 #[must_use]
-pub fn invalid(violation: &Violation) -> Status {
+pub fn invalid(violation: &InvalidField) -> Status {
     let details = ErrorDetails::with_bad_request_violation(&violation.field, &violation.description);
     Status::with_error_details(Code::InvalidArgument, violation.to_string(), details)
 }
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn details_tell_what_programs_need() {
-        let status = invalid(&Violation::new("batch.scans.range_m", "is negative"));
+        let status = invalid(&InvalidField::new("batch.scans.range_m", "is negative"));
         assert_eq!(status.code(), Code::InvalidArgument);
         let violation = status.get_details_bad_request().unwrap().field_violations.remove(0);
         assert_eq!((&*violation.field, &*violation.description), ("batch.scans.range_m", "is negative"));

@@ -74,12 +74,12 @@ fn content_type(name: &str) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::testing::{Site, bytes_of};
+    use crate::http::testing::{TestSite, bytes_of};
     use axum::http::Method;
 
     #[tokio::test]
     async fn the_page_allows_only_what_it_brings() {
-        let response = Site::default().get("/").await;
+        let response = TestSite::default().get("/").await;
         let policy = response.headers()["content-security-policy"].to_str().unwrap();
         assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
         assert_eq!(response.headers()["content-type"], "text/html; charset=utf-8");
@@ -90,7 +90,7 @@ mod tests {
 
     #[tokio::test]
     async fn everything_the_page_names_is_served() {
-        let site = Site::default();
+        let site = TestSite::default();
         let page = String::from_utf8(bytes_of(site.get("/").await).await.to_vec()).unwrap();
         let named: Vec<_> = page.split('"').filter(|part| part.starts_with("/assets/")).collect();
         assert!(
@@ -111,7 +111,7 @@ mod tests {
 
     #[tokio::test]
     async fn what_compresses_is_sent_compressed_to_whoever_accepts_it() {
-        let site = Site::default();
+        let site = TestSite::default();
         let script = ASSETS.iter().find(|a| content_type(a.name).starts_with("text/javascript")).unwrap();
         let path = format!("/{}", script.name);
         let response = site.send(Method::GET, &path, &[("accept-encoding", "br, gzip;q=0.5")]).await;

@@ -55,21 +55,21 @@ fn with_safe_headers(mut response: Response) -> Response {
 }
 
 /// Places to work in, so that a crowd of page views cannot take the machine from the vehicles.
-pub struct Places {
+pub struct Limiter {
     waiting: Arc<Semaphore>,
     working: Arc<Semaphore>,
     listening: Arc<Semaphore>,
     operating: Arc<Semaphore>,
 }
 
-impl Default for Places {
+impl Default for Limiter {
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self::new(WAITING, cores.div_ceil(2), LISTENERS)
     }
 }
 
-impl Places {
+impl Limiter {
     /// So many may wait, work and listen at once.
     pub fn new(waiting: usize, working: usize, listening: usize) -> Self {
         let semaphore = |n| Arc::new(Semaphore::new(n));
@@ -91,11 +91,11 @@ impl Places {
     ) -> Result<T, Error> {
         const FULL: Error = Error::Saturated("every place to render is taken");
         let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
-        let place = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
-        let place = place.map_err(|_| FULL)?.map_err(|_| FULL)?;
+        let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
+        let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
         tokio::task::spawn_blocking(move || {
             // Held by the work, not by the request: a client that hangs up frees no place early.
-            let _held = (queued, place);
+            let _held = (queued, permit);
             work()
         })
         .await?
@@ -126,26 +126,26 @@ mod tests {
 
     #[tokio::test]
     async fn a_crowd_is_turned_away_at_once() {
-        let places = Places::new(1, 1, 1);
+        let limiter = Limiter::new(1, 1, 1);
         let (release, wait) = std::sync::mpsc::channel::<()>();
-        let busy = places.work(move || Ok(wait.recv().is_ok()));
+        let busy = limiter.work(move || Ok(wait.recv().is_ok()));
         let turned_away = async {
-            let answer = places.work(|| Ok(())).await;
+            let answer = limiter.work(|| Ok(())).await;
             release.send(()).unwrap();
             answer
         };
         let (busy, turned_away) = tokio::join!(busy, turned_away);
         assert!(busy.unwrap());
         assert!(matches!(turned_away, Err(Error::Saturated(_))));
-        places.work(|| Ok(())).await.unwrap();
+        limiter.work(|| Ok(())).await.unwrap();
     }
 
     #[test]
     fn listeners_are_bounded_and_their_place_comes_back() {
-        let places = Places::new(1, 1, 1);
-        let first = places.listen().unwrap();
-        assert!(matches!(places.listen(), Err(Error::Saturated(_))));
+        let limiter = Limiter::new(1, 1, 1);
+        let first = limiter.listen().unwrap();
+        assert!(matches!(limiter.listen(), Err(Error::Saturated(_))));
         drop(first);
-        assert!(places.listen().is_ok());
+        assert!(limiter.listen().is_ok());
     }
 }

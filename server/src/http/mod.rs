@@ -66,14 +66,14 @@ pub struct HttpState {
 struct App {
     state: HttpState,
     artist: Arc<raster::Artist>,
-    places: limits::Places,
+    limiter: limits::Limiter,
 }
 
 /// The routes, ready to be served.
 pub fn router(state: HttpState) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
-    let app = Arc::new(App { state, artist, places: limits::Places::default() });
+    let app = Arc::new(App { state, artist, limiter: limits::Limiter::default() });
     routes()
         .into_iter()
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
@@ -103,7 +103,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/diff", get(operations::diff)),
         ("/api/v1/map/rollback", post(operations::rollback)),
         ("/api/v1/map/revoke", post(operations::revoke)),
-        ("/api/v1/map/settle", post(operations::settle)),
+        ("/api/v1/map/settle", post(operations::compact)),
         ("/api/v1/map/verify", get(operations::verify)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),
@@ -122,12 +122,12 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
 
 #[cfg(test)]
 mod tests {
-    use super::testing::{Site, json_of};
+    use super::testing::{TestSite, json_of};
     use axum::http::Method;
 
     #[tokio::test]
     async fn what_is_not_served_says_so_in_json() {
-        let site = Site::default();
+        let site = TestSite::default();
         let response = site.get("/nowhere").await;
         assert_eq!(response.status(), 404);
         assert_eq!(json_of(response).await["error"]["code"], "not_found");
@@ -139,7 +139,7 @@ mod tests {
 
     #[tokio::test]
     async fn every_answer_forbids_guessing_its_type() {
-        let site = Site::default();
+        let site = TestSite::default();
         for path in ["/healthz", "/", "/nowhere", "/tiles/evidence/0/0/0.png"] {
             assert_eq!(site.get(path).await.headers()["x-content-type-options"], "nosniff", "{path}");
         }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Ways to find the maximum of the correlation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Engine {
+pub enum EngineChoice {
     /// The fastest for the request.
     Auto,
     /// Coarse to fine.
@@ -19,13 +19,13 @@ pub enum Engine {
     Fft,
 }
 
-impl From<Engine> for EngineKind {
-    fn from(engine: Engine) -> Self {
+impl From<EngineChoice> for EngineKind {
+    fn from(engine: EngineChoice) -> Self {
         match engine {
             // Coarse to fine is the fastest at every width and batch measured: BENCHMARKS.md.
-            Engine::Auto | Engine::Fast => Self::Fast,
-            Engine::Bounded => Self::Bounded,
-            Engine::Fft => Self::Fft,
+            EngineChoice::Auto | EngineChoice::Fast => Self::Fast,
+            EngineChoice::Bounded => Self::Bounded,
+            EngineChoice::Fft => Self::Fft,
         }
     }
 }
@@ -41,7 +41,7 @@ pub struct LocatingConfig {
     /// Memory for prepared tiles, MiB.
     pub tile_cache_mib: u64,
     /// Which engine searches.
-    pub engine: Engine,
+    pub engine: EngineChoice,
     /// Share of the answers that are asked again of the exhaustive engine.
     pub confirm_share: f64,
     /// Half width of the search that is made when the prior's does not hold the answer, metres; 0 for

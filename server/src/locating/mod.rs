@@ -1,9 +1,9 @@
 //! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds; and what such
 //! answers can be expected to be.
 
-mod cache;
 mod config;
 mod expectation;
+mod prepared_tiles;
 mod slots;
 
 use std::sync::Arc;
@@ -18,15 +18,15 @@ use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::window::Frame;
-pub use expectation::{Expectations, PLACES, TileExpectation};
+pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
 
 use crate::store::{self, MapStore};
-use cache::{Found, TileCache};
-use slots::{Slot, Slots};
+use prepared_tiles::{PreparedTiles, WindowTiles};
+use slots::{ComputeSlot, ComputeSlots};
 
 /// A batch, what the vehicle believes, and what it needs.
 #[derive(Debug, Clone)]
-pub struct Question {
+pub struct LocateRequest {
     /// What it saw, gated and organised.
     pub batch: Batch,
     /// Where it believes to be at the batch's reference time.
@@ -49,7 +49,7 @@ pub struct Question {
 
 /// An alignment in words a vehicle understands.
 #[derive(Debug, Clone)]
-pub struct Answer {
+pub struct LocateAnswer {
     /// The alignment on the zone's grid.
     pub alignment: Alignment,
     /// The zone.
@@ -67,7 +67,7 @@ pub struct Answer {
     /// True when the prior is combined into it.
     pub contains_prior: bool,
     /// True when the search was repeated over a wide area.
-    pub searched_wide: bool,
+    pub relocalized: bool,
     /// The map it rests on.
     pub map: MapUsed,
     /// Where the time went.
@@ -102,7 +102,7 @@ pub struct Timing {
 
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
-pub enum Refusal {
+pub enum LocateRefusal {
     /// Nothing is served around the prior.
     #[error(
         "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first"
@@ -179,7 +179,7 @@ pub enum Refusal {
 
 /// A compute slot, given back when dropped.
 pub struct Admitted {
-    slot: Slot,
+    slot: ComputeSlot,
     queued: Duration,
 }
 
@@ -187,16 +187,16 @@ pub struct Admitted {
 pub struct Locator {
     store: Arc<dyn MapStore>,
     config: LocatingConfig,
-    tiles: TileCache,
-    slots: Slots,
+    tiles: PreparedTiles,
+    slots: ComputeSlots,
 }
 
 impl Locator {
     /// A locator over a map.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
-        let tiles = TileCache::new(config.tile_cache_mib);
-        let slots = Slots::new(config.threads(), config.queue);
+        let tiles = PreparedTiles::new(config.tile_cache_mib);
+        let slots = ComputeSlots::new(config.threads(), config.queue);
         Self { store, config, tiles, slots }
     }
 
@@ -210,7 +210,7 @@ impl Locator {
     ///
     /// # Errors
     /// When too many wait already.
-    pub async fn admit(&self) -> Result<Admitted, Refusal> {
+    pub async fn admit(&self) -> Result<Admitted, LocateRefusal> {
         let waiting = Instant::now();
         let slot = self.slots.take().await?;
         Ok(Admitted { slot, queued: waiting.elapsed() })
@@ -220,7 +220,11 @@ impl Locator {
     ///
     /// # Errors
     /// What cannot be answered is refused with the reason.
-    pub fn locate(&self, question: &Question, admitted: &mut Admitted) -> Result<Answer, Refusal> {
+    pub fn locate(
+        &self,
+        question: &LocateRequest,
+        admitted: &mut Admitted,
+    ) -> Result<LocateAnswer, LocateRefusal> {
         self.check(question)?;
         let queued = admitted.queued;
         self.answer(question, admitted.slot.aligner(), queued)
@@ -231,14 +235,14 @@ impl Locator {
     ///
     /// # Errors
     /// When the map cannot be read any more.
-    pub fn confirms(
+    pub fn check_sample(
         &self,
-        question: &Question,
-        answer: &Answer,
+        question: &LocateRequest,
+        answer: &LocateAnswer,
         admitted: &mut Admitted,
-    ) -> Result<bool, Refusal> {
+    ) -> Result<bool, LocateRefusal> {
         let place = self.place(question)?;
-        let found = self.tiles.get(&*self.store, place.frame).map_err(Refusal::Store)?;
+        let found = self.tiles.get(&*self.store, place.frame).map_err(LocateRefusal::Store)?;
         let task =
             Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
@@ -247,22 +251,22 @@ impl Locator {
     }
 
     /// What needs no map to be refused.
-    fn check(&self, question: &Question) -> Result<(), Refusal> {
-        let Question { batch, sigma_position_m, sigma_yaw_rad, .. } = question;
+    fn check(&self, question: &LocateRequest) -> Result<(), LocateRefusal> {
+        let LocateRequest { batch, sigma_position_m, sigma_yaw_rad, .. } = question;
         let LocatingConfig { max_sigma_position_m, max_sigma_yaw_deg, min_detections, min_speed_mps, .. } =
             self.config;
         if batch.detections == 0 {
-            return Err(Refusal::NoDetections);
+            return Err(LocateRefusal::NoDetections);
         }
         if batch.speed_mps < min_speed_mps {
-            return Err(Refusal::TooSlow { speed_mps: batch.speed_mps, least_mps: min_speed_mps });
+            return Err(LocateRefusal::TooSlow { speed_mps: batch.speed_mps, least_mps: min_speed_mps });
         }
         if batch.points.len() < min_detections {
             return Err(too_few(batch, min_detections));
         }
         let bound = |what, given: f64, most: f64| {
             // What is no number, as the root of an overflow, is within no limit.
-            if given <= most { Ok(()) } else { Err(Refusal::PriorTooUncertain { what, given, most }) }
+            if given <= most { Ok(()) } else { Err(LocateRefusal::PriorTooUncertain { what, given, most }) }
         };
         bound("the position (m)", *sigma_position_m, max_sigma_position_m)?;
         bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())
@@ -271,13 +275,13 @@ impl Locator {
     /// Tiles, alignment, bounds; blocks.
     fn answer(
         &self,
-        question: &Question,
+        question: &LocateRequest,
         aligner: &mut Aligner,
         queued: Duration,
-    ) -> Result<Answer, Refusal> {
-        let Place { grid, prior, frame } = self.place(question)?;
+    ) -> Result<LocateAnswer, LocateRefusal> {
+        let PlacedPrior { grid, prior, frame } = self.place(question)?;
         let fetching = Instant::now();
-        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
+        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
             return Err(no_map(frame, question.at));
         }
@@ -287,8 +291,8 @@ impl Locator {
         let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
         let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
         let correction = alignment.correction;
-        let wide = self.searched_wide(question, &grid, &prior, &alignment, aligner)?;
-        let searched_wide = wide.is_some();
+        let wide = self.relocalize(question, &grid, &prior, &alignment, aligner)?;
+        let relocalized = wide.is_some();
         alignment = wide.unwrap_or(alignment);
         let combined = question.combine && alignment.verdict == Verdict::Usable;
         // The prior is told in true east and north, the alignment in the grid's.
@@ -299,7 +303,7 @@ impl Locator {
         let align = aligning.elapsed();
         let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
         let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
-        Ok(Answer {
+        Ok(LocateAnswer {
             protection: alignment.protection(&integrity, integrity_risk),
             alignment,
             found: correction,
@@ -308,14 +312,14 @@ impl Locator {
             yaw_rad,
             integrity_risk,
             contains_prior,
-            searched_wide,
+            relocalized,
             map: used(&found),
             timing: Timing { queued, window, window_cached: found.cached, align },
         })
     }
 
     /// The prior on its grid, and the square around it.
-    fn place(&self, question: &Question) -> Result<Place, Refusal> {
+    fn place(&self, question: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
         let grid = Grid::of(question.at)?;
         let prior = Prior {
             pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,
@@ -324,7 +328,7 @@ impl Locator {
             scale: grid.scale_factor(question.at)?,
         };
         let frame = self.frame(&grid, &prior);
-        Ok(Place { grid, prior, frame })
+        Ok(PlacedPrior { grid, prior, frame })
     }
 
     fn frame(&self, grid: &Grid, prior: &Prior) -> Frame {
@@ -336,14 +340,14 @@ impl Locator {
     /// A search of a wide area with all headings, when the answer lies on the edge of the prior's or
     /// nothing there explains the batch, and there is time for it. What it finds, far from where the
     /// vehicle believes to be, is to be asked for again, not to be used.
-    fn searched_wide(
+    fn relocalize(
         &self,
-        question: &Question,
+        question: &LocateRequest,
         grid: &Grid,
         prior: &Prior,
         answer: &Alignment,
         aligner: &mut Aligner,
-    ) -> Result<Option<Alignment>, Refusal> {
+    ) -> Result<Option<Alignment>, LocateRefusal> {
         let astray = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
         let late =
             question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
@@ -357,7 +361,7 @@ impl Locator {
             ..*prior
         };
         let frame = self.frame(grid, &wide);
-        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
+        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
         let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {
@@ -368,7 +372,7 @@ impl Locator {
 }
 
 /// A prior on the map.
-struct Place {
+struct PlacedPrior {
     grid: Grid,
     prior: Prior,
     frame: Frame,
@@ -379,7 +383,7 @@ const CONFIRMED_WITHIN_M: f64 = 0.2;
 /// Time that a wide search is given.
 const WIDE_TAKES: Duration = Duration::from_millis(100);
 
-fn used(found: &Found) -> MapUsed {
+fn used(found: &WindowTiles) -> MapUsed {
     MapUsed {
         epoch: found.epoch,
         newest_day: found.tiles.iter().map(|t| t.newest_day).max().unwrap_or(0),
@@ -388,9 +392,9 @@ fn used(found: &Found) -> MapUsed {
     }
 }
 
-fn too_few(batch: &Batch, least: usize) -> Refusal {
+fn too_few(batch: &Batch, least: usize) -> LocateRefusal {
     let dropped = batch.dropped;
-    Refusal::TooFewDetections {
+    LocateRefusal::TooFewDetections {
         kept: batch.points.len(),
         sent: batch.detections,
         too_slow: dropped.too_slow,
@@ -401,9 +405,9 @@ fn too_few(batch: &Batch, least: usize) -> Refusal {
     }
 }
 
-fn no_map(frame: Frame, at: LatLon) -> Refusal {
+fn no_map(frame: Frame, at: LatLon) -> LocateRefusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
-    Refusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
+    LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
 }
 
 /// The contract's word for what a fix will most likely be told, without its prefix.

@@ -74,7 +74,7 @@ pub enum Error {
 
 /// What both ports answer from.
 #[derive(Clone)]
-struct Shared {
+struct ServiceContext {
     config: Arc<Config>,
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
@@ -86,7 +86,7 @@ struct Shared {
 
 /// A service that has its ports and its store, and answers once it is run.
 pub struct Server {
-    shared: Shared,
+    shared: ServiceContext,
     grpc: TcpListener,
     http: TcpListener,
     grpc_addr: SocketAddr,
@@ -123,7 +123,7 @@ impl Server {
         let operations: Arc<dyn Operations> = store.clone();
         let store: Arc<dyn MapStore> = store;
         let (search, integrity) = (config.locating.search(), config.locating.integrity());
-        let shared = Shared {
+        let shared = ServiceContext {
             expectations: Arc::new(Expectations::new(Arc::clone(&store), search, integrity)),
             config: Arc::new(config),
             operations,

@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use echofix_core::time::day_of;
 
-use super::Shared;
+use super::ServiceContext;
 use crate::grpc::now_us;
 
 /// How often the day is looked at.
 const TICK: Duration = Duration::from_hours(1);
 
 /// Settles for as long as it is polled.
-pub(super) async fn keep(shared: Shared) {
+pub(super) async fn keep(shared: ServiceContext) {
     let retention_days = shared.config.mapping.retention_days;
     if retention_days == 0 {
         return;
@@ -21,7 +21,7 @@ pub(super) async fn keep(shared: Shared) {
         ticks.tick().await;
         let operations = shared.operations.clone();
         let before = before_day(now_us(), retention_days);
-        match tokio::task::spawn_blocking(move || operations.settle(before)).await {
+        match tokio::task::spawn_blocking(move || operations.compact(before)).await {
             Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are made final"),
             Ok(Ok(None)) => {}
             Ok(Err(error)) => tracing::error!(%error, "old uploads could not be made final; trying again"),

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 
 use super::embedded::EmbeddedStore;
-use super::journal::Part;
+use super::journal::BackupPart;
 use super::{Error, io_error};
 
 const BLOCK: usize = 512;
@@ -24,24 +24,24 @@ impl EmbeddedStore {
     }
 
     /// Opened all at once: what is settled and deleted later stays readable.
-    fn parts(&self) -> Result<Vec<Part>, Error> {
-        let base = self.shared.base();
+    fn parts(&self) -> Result<Vec<BackupPart>, Error> {
+        let checkpoint = self.shared.checkpoint();
         let opening = "opening what is to be copied";
         let whole = |name: String| {
             let file = File::open(self.shared.dir.root().join(&name)).map_err(io_error(opening))?;
             let length = file.metadata().map_err(io_error(opening))?.len();
-            Ok::<_, Error>(Part { name, file, length })
+            Ok::<_, Error>(BackupPart { name, file, length })
         };
         let mut parts = vec![whole("key".to_owned())?];
-        if base.path.is_some() {
-            parts.push(whole(format!("base-{}", base.last))?);
+        if checkpoint.path.is_some() {
+            parts.push(whole(format!("base-{}", checkpoint.last))?);
         }
         parts.extend(self.shared.journal.parts(self.shared.index.newest_at())?);
         Ok(parts)
     }
 }
 
-fn put(out: &mut dyn Write, part: Part) -> io::Result<()> {
+fn put(out: &mut dyn Write, part: BackupPart) -> io::Result<()> {
     out.write_all(&header(&part.name, part.length))?;
     let copied = io::copy(&mut part.file.take(part.length), out)?;
     if copied < part.length {

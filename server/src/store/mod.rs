@@ -8,8 +8,8 @@
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `base` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
-//!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
+//!   `exclusion` (which of them count), `checkpoint` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
+//!   `generation` and `catalog`, `buffer` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
 //!
@@ -18,19 +18,19 @@
 
 mod attempt;
 mod backup;
-mod base;
 mod build;
-mod canvas;
 mod catalog;
+mod checkpoint;
 mod checksum;
 mod clock;
+mod context;
 mod data_dir;
 mod embedded;
 mod entry;
 mod exclusion;
 mod faults;
 mod fold;
-mod folder;
+mod fold_worker;
 mod generation;
 mod history;
 mod index;
@@ -44,7 +44,6 @@ mod policy;
 mod quarantine;
 mod record;
 mod region;
-mod shared;
 mod stream;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -53,15 +52,16 @@ mod tests;
 mod tiles;
 mod verify;
 mod vetting;
+mod write_buffer;
 
 pub use embedded::EmbeddedStore;
-pub use history::{Decision, Event, Snapshot, TileDiff, What};
+pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use operations::Operations;
 pub use options::Options;
 pub use policy::Policy;
 pub use region::{Imported, Region};
 pub use verify::Verified;
-pub use vetting::Quarantined;
+pub use vetting::QuarantinedRecord;
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -118,7 +118,7 @@ pub enum Error {
 
 /// An upload as the journal keeps it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Upload {
+pub struct UploadRecord {
     /// Named by the contributor; counts once.
     pub id: Uuid,
     /// Who and when.
@@ -199,7 +199,7 @@ pub struct Totals {
 
 /// Can the map be read?
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum State {
+pub enum MapStatus {
     /// Not yet: it does not show all uploads that were counted before the start.
     #[default]
     Rebuilding,
@@ -211,9 +211,9 @@ pub enum State {
 
 /// How far the journal reaches and how far it is folded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Progress {
+pub struct MapProgress {
     /// Can the map be read?
-    pub state: State,
+    pub state: MapStatus,
     /// Epoch of the map that is served: the number of the last record folded into it.
     pub epoch: u64,
     /// Number of the last record in the journal.
@@ -250,7 +250,7 @@ pub trait MapStore: Send + Sync {
     fn lineage(&self) -> u64;
 
     /// A version as callers are told it: equal ones stand for equal evidence, of whichever lineage they are.
-    fn told(&self, version: u64) -> u64 {
+    fn wire_version(&self, version: u64) -> u64 {
         self.lineage().wrapping_add(version)
     }
 
@@ -259,7 +259,7 @@ pub trait MapStore: Send + Sync {
     ///
     /// # Errors
     /// When it is not certain that the upload is on disk; it must not be acknowledged then.
-    fn commit(&self, upload: Upload) -> Result<Receipt, Error>;
+    fn commit(&self, upload: UploadRecord) -> Result<Receipt, Error>;
 
     /// What was answered to an upload id that was counted before.
     ///
@@ -291,5 +291,5 @@ pub trait MapStore: Send + Sync {
     fn totals(&self) -> Totals;
 
     /// Follows how far the journal reaches and how far it is folded.
-    fn progress(&self) -> watch::Receiver<Progress>;
+    fn progress(&self) -> watch::Receiver<MapProgress>;
 }

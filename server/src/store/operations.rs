@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 
 use uuid::Uuid;
 
-use super::{Error, Event, Imported, Quarantined, Region, Snapshot, TileDiff, Verified};
+use super::{Error, HistoryEvent, Imported, QuarantinedRecord, Region, Snapshot, TileDiff, Verified};
 
 /// Decisions about the map's history. Each is a record of the journal: synced when the call returns its
 /// number. The map shows it from that epoch on, see [`super::MapStore::progress`]; until then it is served
@@ -33,17 +33,17 @@ pub trait Operations: Send + Sync {
     ///
     /// # Errors
     /// When the journal cannot be written.
-    fn settle(&self, before_day: u16) -> Result<Option<u64>, Error>;
+    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error>;
 
     /// The uploads that vetting kept out of the map, oldest first; those that were settled are forgotten.
     ///
     /// # Errors
     /// When the map is being rebuilt, or the disk refuses.
-    fn quarantined(&self) -> Result<Vec<Quarantined>, Error>;
+    fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error>;
 
     /// What happened to the map, newest first: uploads by runs, controls one by one. What was settled is
     /// not told any more.
-    fn history(&self, limit: usize) -> Vec<Event>;
+    fn history(&self, limit: usize) -> Vec<HistoryEvent>;
 
     /// The map as of an epoch, folded from the journal into memory.
     ///

@@ -16,14 +16,14 @@ use echofix_core::geo::TileId;
 use echofix_core::varint::{Reader, Writer};
 use uuid::Uuid;
 
-use super::Upload;
+use super::UploadRecord;
 
 const VERSION: u8 = 2;
 /// No upload the service accepts comes near this many bytes of cells.
 const MAX_DECODED: usize = 256 << 20;
 
 /// The bytes of an upload.
-pub(super) fn encode(upload: &Upload) -> Vec<u8> {
+pub(super) fn encode(upload: &UploadRecord) -> Vec<u8> {
     let mut out = Writer::default();
     out.bytes.push(VERSION);
     out.bytes.extend_from_slice(upload.id.as_bytes());
@@ -37,7 +37,7 @@ pub(super) fn encode(upload: &Upload) -> Vec<u8> {
 
 /// What the journal's index needs of a record, without its cells.
 #[derive(Debug, PartialEq)]
-pub(super) struct Head {
+pub(super) struct UploadHead {
     pub(super) id: Uuid,
     pub(super) pass: Pass,
     pub(super) forget_before: u16,
@@ -47,22 +47,22 @@ pub(super) struct Head {
 }
 
 /// The head of an upload's bytes; `None` when they do not follow the format.
-pub(super) fn decode_head(bytes: &[u8]) -> Option<Head> {
+pub(super) fn decode_head(bytes: &[u8]) -> Option<UploadHead> {
     let mut input = Reader { rest: bytes };
-    let Upload { id, pass, forget_before, answer, .. } = bare(&mut input)?;
+    let UploadRecord { id, pass, forget_before, answer, .. } = bare(&mut input)?;
     let tiles = codec::decode_head(input.rest).ok()?.tiles;
-    Some(Head { id, pass, forget_before, answer, tiles })
+    Some(UploadHead { id, pass, forget_before, answer, tiles })
 }
 
 /// The upload of its bytes; `None` when they do not follow the format.
-pub(super) fn decode(bytes: &[u8]) -> Option<Upload> {
+pub(super) fn decode(bytes: &[u8]) -> Option<UploadRecord> {
     let mut input = Reader { rest: bytes };
     let upload = bare(&mut input)?;
-    Some(Upload { contribution: codec::decode(input.rest, MAX_DECODED).ok()?, ..upload })
+    Some(UploadRecord { contribution: codec::decode(input.rest, MAX_DECODED).ok()?, ..upload })
 }
 
 /// The upload without its contribution, which is what is left of the input.
-fn bare(input: &mut Reader<'_>) -> Option<Upload> {
+fn bare(input: &mut Reader<'_>) -> Option<UploadRecord> {
     if input.take(1)? != [VERSION] {
         return None;
     }
@@ -71,7 +71,7 @@ fn bare(input: &mut Reader<'_>) -> Option<Upload> {
     let pass = Pass { day: input.get()?, contributor };
     let forget_before = input.get()?;
     let answer = input.bytes()?.to_vec();
-    Some(Upload { id, pass, forget_before, contribution: Contribution::default(), answer })
+    Some(UploadRecord { id, pass, forget_before, contribution: Contribution::default(), answer })
 }
 
 #[cfg(test)]

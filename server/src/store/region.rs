@@ -15,7 +15,7 @@ use echofix_core::tile;
 use uuid::Uuid;
 
 use super::embedded::EmbeddedStore;
-use super::stream::{In, Out, bad};
+use super::stream::{ChecksummedReader, ChecksummedWriter, bad};
 use super::{Error, clock, entry, io_error};
 
 const MAGIC: [u8; 4] = *b"EFX\x01";
@@ -56,7 +56,7 @@ impl EmbeddedStore {
         let mut tiles = region.tiles.clone();
         tiles.retain(|id| generation.catalog().get(*id).is_some());
         let written = |outcome: io::Result<()>| outcome.map_err(io_error("writing a region"));
-        let mut out = Out::new(out);
+        let mut out = ChecksummedWriter::new(out);
         written(out.put(&MAGIC))?;
         written(out.put(Uuid::now_v7().as_bytes()))?;
         for degrees in region.bounds_deg {
@@ -74,7 +74,7 @@ impl EmbeddedStore {
     }
 
     pub(super) fn import_region(&self, file: &mut dyn Read) -> Result<Imported, Error> {
-        let kept = Kept::of(self.shared.dir.root(), file)?;
+        let kept = ReceivedFile::of(self.shared.dir.root(), file)?;
         // All of it is checked before any of it counts.
         let header = read(&kept.0, |_, _, _| Ok(()))?;
         let _deciding = self.shared.decide();
@@ -100,9 +100,9 @@ impl EmbeddedStore {
 }
 
 /// A file that is read twice; removed when dropped, and at the next start.
-struct Kept(PathBuf);
+struct ReceivedFile(PathBuf);
 
-impl Kept {
+impl ReceivedFile {
     fn of(root: &Path, file: &mut dyn Read) -> Result<Self, Error> {
         let kept = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
         let mut keep = || {
@@ -115,7 +115,7 @@ impl Kept {
     }
 }
 
-impl Drop for Kept {
+impl Drop for ReceivedFile {
     fn drop(&mut self) {
         // What is left is removed at the next start.
         let _ = std::fs::remove_file(&self.0);
@@ -131,7 +131,7 @@ fn read(
         io::ErrorKind::UnexpectedEof => Error::Unusable("the file of the region ends too early".to_owned()),
         _ => io_error("reading a region")(error),
     };
-    let mut input = In::new(BufReader::new(File::open(path).map_err(failed)?));
+    let mut input = ChecksummedReader::new(BufReader::new(File::open(path).map_err(failed)?));
     if input.array().map_err(failed)? != MAGIC {
         return Err(failed(bad("it does not begin as one")));
     }

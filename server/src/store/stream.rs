@@ -15,12 +15,12 @@ use echofix_core::geo::{TileId, Zone};
 const MAX_TILE: u32 = 256 << 20;
 
 /// A stream being written.
-pub(super) struct Out<W> {
+pub(super) struct ChecksummedWriter<W> {
     inner: W,
     sum: u32,
 }
 
-impl<W: Write> Out<W> {
+impl<W: Write> ChecksummedWriter<W> {
     pub(super) fn new(inner: W) -> Self {
         Self { inner, sum: 0 }
     }
@@ -46,13 +46,13 @@ impl<W: Write> Out<W> {
     }
 }
 
-/// A stream being read. Nothing of it may be used before [`In::end`] agreed.
-pub(super) struct In<R> {
+/// A stream being read. Nothing of it may be used before [`ChecksummedReader::end`] agreed.
+pub(super) struct ChecksummedReader<R> {
     inner: R,
     sum: u32,
 }
 
-impl<R: Read> In<R> {
+impl<R: Read> ChecksummedReader<R> {
     pub(super) fn new(inner: R) -> Self {
         Self { inner, sum: 0 }
     }

@@ -19,11 +19,11 @@ use echofix_core::tile::{self, Tile};
 use sled::IVec;
 use uuid::Uuid;
 
-use super::canvas::{Folded, Source};
 use super::catalog::Catalog;
 use super::checksum::{SUM, seal, sealed};
 use super::key::key;
-use super::vetting::Quarantined;
+use super::vetting::QuarantinedRecord;
+use super::write_buffer::{Folded, Source};
 use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.
@@ -36,7 +36,7 @@ const HEAD: usize = 18;
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
 /// The tile store.
-pub(super) struct Tiles {
+pub(super) struct TileStore {
     pub(super) db: sled::Db,
     pub(super) tree: sled::Tree,
     /// Held by who changes tiles, and by who must see them all of one time.
@@ -45,7 +45,7 @@ pub(super) struct Tiles {
     whole: RwLock<()>,
 }
 
-impl Tiles {
+impl TileStore {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
         wait_until_unlocked(dir);
         let db = pieces::config(dir, cache_bytes).open()?;
@@ -107,14 +107,14 @@ impl Tiles {
     /// Puts tiles, what was kept out of them, and how far they go with them, all or none.
     pub(super) fn put_all(
         &self,
-        values: Vec<Value>,
-        quarantined: &[Quarantined],
+        values: Vec<TileValue>,
+        quarantined: &[QuarantinedRecord],
         folded: u64,
         digest: u64,
     ) -> Result<(), Error> {
         let _changing = self.changing();
         let mut batch = sled::Batch::default();
-        for Value { bytes, info } in values {
+        for TileValue { bytes, info } in values {
             pieces::put(&self.tree, &mut batch, info.id, &bytes)?;
         }
         for quarantined in quarantined {
@@ -128,7 +128,7 @@ impl Tiles {
     }
 
     /// The uploads that were kept out, oldest first.
-    pub(super) fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+    pub(super) fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         let damaged = || Error::Damaged {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
@@ -156,7 +156,7 @@ impl Tiles {
     }
 }
 
-impl Source for Tiles {
+impl Source for TileStore {
     fn folded(&self, id: TileId) -> Result<Folded, Error> {
         let Some(value) = self.value(id)? else { return Ok(Folded::default()) };
         let value = parse(id, &value)?;
@@ -167,12 +167,12 @@ impl Source for Tiles {
 }
 
 /// A tile in the bytes it is stored in.
-pub(super) struct Value {
+pub(super) struct TileValue {
     bytes: Vec<u8>,
     pub(super) info: TileInfo,
 }
 
-impl Value {
+impl TileValue {
     /// Of its cells those count that are served when `publish` contributors are asked for.
     pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
         let encoded = tile::encode(&folded.tile);
@@ -263,7 +263,7 @@ mod tests {
     }
 
     /// A tile in a version, of so many cells.
-    fn value(x: i32, version: u64, cells: u32) -> Value {
+    fn value(x: i32, version: u64, cells: u32) -> TileValue {
         let mut folded = Folded { version, ..Folded::default() };
         // Nothing that could be compressed away.
         let noise = |at: u32| at.wrapping_mul(0x9e37_79b9) >> 8;
@@ -274,7 +274,7 @@ mod tests {
         };
         let share = Share::of_hits((0..cells).map(hit).collect());
         folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
-        Value::new(id(x), &folded, 1)
+        TileValue::new(id(x), &folded, 1)
     }
 
     proptest! {
@@ -284,7 +284,7 @@ mod tests {
             at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
         ) {
             let dir = tempfile::tempdir().unwrap();
-            let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+            let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
             let value = value(-1, 3, 8000);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn an_instance_that_goes_is_waited_for() {
         let dir = tempfile::tempdir().unwrap();
-        let first = Tiles::open(dir.path(), 1 << 20).unwrap();
+        let first = TileStore::open(dir.path(), 1 << 20).unwrap();
         assert!(pieces::config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
         let held = Duration::from_millis(200);
         let began = Instant::now();
@@ -323,7 +323,7 @@ mod tests {
             std::thread::sleep(held);
             drop(first);
         });
-        assert!(Tiles::open(dir.path(), 1 << 20).is_ok());
+        assert!(TileStore::open(dir.path(), 1 << 20).is_ok());
         assert!(began.elapsed() >= held);
         goes.join().unwrap();
     }
@@ -331,7 +331,7 @@ mod tests {
     #[test]
     fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
         let dir = tempfile::tempdir().unwrap();
-        let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+        let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
         let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
         tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());

@@ -3,7 +3,7 @@
 use echofix_core::align::combine::sigmas;
 use echofix_proto::v1::Prior;
 
-use crate::grpc::violation::{Violation, require};
+use crate::grpc::invalid_field::{InvalidField, require};
 
 /// What a prior may be wrong by.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,13 +20,13 @@ pub struct Uncertainty {
 ///
 /// # Errors
 /// When neither is a proper uncertainty.
-pub fn uncertainty(prior: &Prior) -> Result<Uncertainty, Violation> {
+pub fn uncertainty(prior: &Prior) -> Result<Uncertainty, InvalidField> {
     if let [xx, xy, xt, yy, yt, tt] = prior.covariance[..] {
         let covariance = [[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]];
         let proper = covariance.iter().flatten().all(|v| v.is_finite());
         let (sigma_position_m, sigma_yaw_rad) = sigmas(&covariance)
             .filter(|_| proper)
-            .ok_or_else(|| Violation::new("prior.covariance", "must be finite and positive definite"))?;
+            .ok_or_else(|| InvalidField::new("prior.covariance", "must be finite and positive definite"))?;
         return Ok(Uncertainty { covariance, sigma_position_m, sigma_yaw_rad });
     }
     let six = "must hold six values, the upper triangle row by row, or none";

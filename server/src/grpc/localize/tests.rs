@@ -42,18 +42,19 @@ fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
 }
 
 /// The service over that map, and a question from a metre beside the truth.
-fn asked() -> (Inner, Question) {
+fn asked() -> (Localization, LocateRequest) {
     let grid = Grid::of(AUSTIN).unwrap();
     let store = Arc::new(map(&grid, grid.project(AUSTIN).unwrap()));
     let locator = Arc::new(Locator::new(store, Config::load(&Sources::default()).unwrap().locating));
-    let inner = Inner { answered: AtomicU64::new(0), locator, feed: Arc::default(), metrics: Arc::default() };
+    let inner =
+        Localization { answered: AtomicU64::new(0), locator, feed: Arc::default(), metrics: Arc::default() };
     let points: Vec<_> = posts().iter().map(|post| post.map(|m| m as f32)).collect();
     let batch = Batch { detections: points.len() as u64, points, speed_mps: 10.0, ..Batch::default() };
     let beside = Pose2::new(0.8, -0.6, 0.0);
     let truth = grid.pose_from_geodetic(AUSTIN, grid.convergence_rad(AUSTIN).unwrap()).unwrap();
     let (at, yaw_rad) = grid.pose_to_geodetic(&truth.compose(&beside)).unwrap();
     let (position, yaw) = (0.25, 0.0004);
-    let question = Question {
+    let question = LocateRequest {
         batch,
         at,
         yaw_rad,
@@ -68,15 +69,16 @@ fn asked() -> (Inner, Question) {
 }
 
 /// How often the two agreed and differed when an answer, changed on the way, was asked again.
-async fn confirmed(change: fn(&mut Answer)) -> [u64; 2] {
+async fn confirmed(change: fn(&mut LocateAnswer)) -> [u64; 2] {
     let (inner, question) = asked();
     let mut admitted = inner.locator.admit().await.unwrap();
     let mut answer = inner.locator.locate(&question, &mut admitted).unwrap();
     let back = answer.found.distance_m(&Pose2::new(-0.8, 0.6, 0.0));
     assert!(back < 0.1, "the answer leads back to the truth: {:?}", answer.found);
     change(&mut answer);
-    inner.confirm(Doubt { question, answer, admitted });
-    ["agree", "differ"].map(|outcome| inner.metrics.confirmations.get_or_create(&Outcome { outcome }).get())
+    inner.run_check(SampledCheck { question, answer, admitted });
+    ["agree", "differ"]
+        .map(|outcome| inner.metrics.confirmations.get_or_create(&OutcomeLabel { outcome }).get())
 }
 
 /// Catches counters that are swapped or not counted, and a comparison with something else than what the
@@ -101,7 +103,7 @@ async fn the_share_to_be_confirmed_is_evenly_spread() {
     let (inner, _) = asked();
     let config = LocatingConfig { confirm_share: 0.25, ..*inner.locator.config() };
     let locator = Arc::new(Locator::new(Arc::new(FakeStore::default()), config));
-    let inner = Inner { locator, ..inner };
+    let inner = Localization { locator, ..inner };
     let sampled: Vec<bool> = (0..12).map(|_| inner.is_sampled()).collect();
     assert!(sampled.chunks(4).all(|four| four.iter().filter(|s| **s).count() == 1), "{sampled:?}");
 }

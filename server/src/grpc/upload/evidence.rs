@@ -9,7 +9,7 @@ use echofix_core::geo::Zone;
 use echofix_proto::v1::EvidenceChunk;
 
 use super::Error;
-use crate::grpc::violation::{Violation, require};
+use crate::grpc::invalid_field::{InvalidField, require};
 use crate::mapping::MappingConfig;
 
 /// Hits that one upload may have in one cell: more than radars make in the seconds it spans.
@@ -31,7 +31,7 @@ impl Evidence {
     }
 
     /// Takes the next piece.
-    pub(super) fn add(&mut self, chunk: &EvidenceChunk) -> Result<(), Violation> {
+    pub(super) fn add(&mut self, chunk: &EvidenceChunk) -> Result<(), InvalidField> {
         require(!chunk.contribution.is_empty(), "evidence.contribution", "is empty")?;
         if self.is_empty() {
             let sigma = |value: f32, field| {

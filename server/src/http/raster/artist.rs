@@ -8,8 +8,8 @@ use echofix_core::geo::TileId;
 use moka::sync::Cache;
 
 use super::plane::Plane;
-use super::scene::{PLACE_SHIFT, Scene, TILES_FROM};
-use super::summary::{self, Summary};
+use super::summary::{self, TileSummary};
+use super::view_content::{SPOT_SHIFT, TILES_FROM, ViewContent};
 use super::{Layer, Overview, Spot, View, palette};
 use crate::http::error::Error;
 use crate::locating::Expectations;
@@ -23,7 +23,7 @@ const SUMMARIES: u64 = 64 << 20;
 const OVERVIEW_EVERY: Duration = Duration::from_secs(1);
 
 /// The answer to a request for a map tile.
-pub struct Answer {
+pub struct Picture {
     /// Names the picture.
     pub tag: String,
     /// The picture; absent when the one asked about is still right.
@@ -35,7 +35,7 @@ pub struct Artist {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
     pictures: Cache<(Layer, View), (String, Bytes)>,
-    summaries: Cache<TileId, (u64, Arc<Summary>)>,
+    summaries: Cache<TileId, (u64, Arc<TileSummary>)>,
     overview: Mutex<Option<(Instant, Arc<Overview>)>>,
 }
 
@@ -51,7 +51,7 @@ impl Artist {
                 .build(),
             summaries: Cache::builder()
                 .max_capacity(SUMMARIES)
-                .weigher(|_, (_, summary): &(u64, Arc<Summary>)| summary.weight() as u32)
+                .weigher(|_, (_, summary): &(u64, Arc<TileSummary>)| summary.weight() as u32)
                 .build(),
             overview: Mutex::new(None),
         }
@@ -61,24 +61,24 @@ impl Artist {
     ///
     /// # Errors
     /// When the store refuses.
-    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Answer, Error> {
-        let scene = match view.z {
-            z if z < layer.min_zoom() => Scene::Near(Vec::new()),
-            z if z < TILES_FROM => Scene::Far(self.overview()?),
-            _ => Scene::near(&*self.store, layer, &view)?,
+    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Picture, Error> {
+        let content = match view.z {
+            z if z < layer.min_zoom() => ViewContent::Near(Vec::new()),
+            z if z < TILES_FROM => ViewContent::Far(self.overview()?),
+            _ => ViewContent::near(&*self.store, layer, &view)?,
         };
         let newest_day = self.store.totals().newest_day;
-        let tag = scene.tag(layer, &view, self.store.lineage(), newest_day);
+        let tag = content.tag(layer, &view, self.store.lineage(), newest_day);
         if is_known(&tag) {
-            return Ok(Answer { tag, png: None });
+            return Ok(Picture { tag, png: None });
         }
         if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(kept, _)| *kept == tag) {
-            return Ok(Answer { tag, png: Some(png) });
+            return Ok(Picture { tag, png: Some(png) });
         }
-        let spots = scene.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
+        let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
         let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
         self.pictures.insert((layer, view), (tag.clone(), png.clone()));
-        Ok(Answer { tag, png: Some(png) })
+        Ok(Picture { tag, png: Some(png) })
     }
 
     /// The whole map from far away, at most a second old or of the newest epoch.
@@ -105,8 +105,8 @@ impl Artist {
         if layer == Layer::Localizability {
             if let Some(expected) = self.expectations.tile(tile.id)? {
                 let spot = |place| Spot::of_expected(place, self.expectations.verdict(place));
-                let found = expected.places().map(|(x, y, place)| (x as u32, y as u32, spot(place)));
-                plane.add(tile.id, PLACE_SHIFT, found);
+                let found = expected.spots().map(|(x, y, place)| (x as u32, y as u32, spot(place)));
+                plane.add(tile.id, SPOT_SHIFT, found);
             }
         } else if plane.shift() >= summary::SHIFT {
             if let Some(summary) = self.summary(tile)? {
@@ -118,7 +118,7 @@ impl Artist {
         Ok(())
     }
 
-    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<Summary>>, Error> {
+    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<TileSummary>>, Error> {
         let kept = self.summaries.get(&tile.id);
         if let Some((version, summary)) = kept
             && version >= tile.version
@@ -126,7 +126,7 @@ impl Artist {
             return Ok(Some(summary));
         }
         let Some(stored) = self.store.tile(tile.id)? else { return Ok(None) };
-        let summary = Arc::new(Summary::of(&stored.tile));
+        let summary = Arc::new(TileSummary::of(&stored.tile));
         self.summaries.insert(tile.id, (stored.version, Arc::clone(&summary)));
         Ok(Some(summary))
     }

@@ -11,9 +11,9 @@ mod layer;
 mod overview;
 mod palette;
 mod plane;
-mod scene;
 mod summary;
 mod view;
+mod view_content;
 
 pub use artist::Artist;
 pub use layer::Layer;

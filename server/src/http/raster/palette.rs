@@ -64,7 +64,7 @@ pub fn level_of_sigma(sigma_m: f64) -> u8 {
 
 /// An entry of a layer's legend.
 #[derive(Debug, Serialize)]
-pub struct Entry {
+pub struct LegendEntry {
     /// What the colour stands for.
     pub label: String,
     /// `#rrggbb`
@@ -72,8 +72,8 @@ pub struct Entry {
 }
 
 /// What the colours of a layer stand for.
-pub fn legend(layer: Layer) -> Vec<Entry> {
-    let entry = |label: &str, color: &[u8]| Entry {
+pub fn legend(layer: Layer) -> Vec<LegendEntry> {
+    let entry = |label: &str, color: &[u8]| LegendEntry {
         label: label.to_owned(),
         color: format!("#{:02x}{:02x}{:02x}", color[0], color[1], color[2]),
     };

@@ -81,12 +81,12 @@ fn unmercator([x, y]: [f64; 2]) -> LatLon {
 }
 
 /// A view's pixels on a zone's plane: projected at every eighth pixel, interpolated between.
-pub struct Lattice {
+pub struct PixelGrid {
     nodes: Vec<[f64; 2]>,
     per_side: usize,
 }
 
-impl Lattice {
+impl PixelGrid {
     /// Projects the nodes.
     ///
     /// # Errors
@@ -144,9 +144,9 @@ mod tests {
         ) {
             let view = over(LatLon { lat_deg, lon_deg }, z, 256);
             let grid = Grid::of(view.at(128.0, 128.0)).unwrap();
-            let lattice = Lattice::new(&view, &grid).unwrap();
+            let pixel_grid = PixelGrid::new(&view, &grid).unwrap();
             let exact = grid.project(view.at(px, py)).unwrap();
-            let near = lattice.at(px, py);
+            let near = pixel_grid.at(px, py);
             let error = (exact[0] - near[0]).hypot(exact[1] - near[1]);
             prop_assert!(error < 0.05, "{error} m at {view:?}");
         }

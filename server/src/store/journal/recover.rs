@@ -5,7 +5,7 @@
 //! an error. The two are told apart by the records behind the bad place: one that was written when
 //! the bad one was already on disk proves damage.
 
-use super::segment::{self, HEADER, Record};
+use super::segment::{self, FramedRecord, HEADER};
 
 /// A sound segment, or the sound beginning of one.
 #[derive(Debug, PartialEq, Eq)]
@@ -29,7 +29,7 @@ pub(super) fn walk(
     bytes: &[u8],
     first: u64,
     last: bool,
-    mut visit: impl FnMut(usize, &Record<'_>),
+    mut visit: impl FnMut(usize, &FramedRecord<'_>),
 ) -> Result<Sound, Damage> {
     let mut sound = Sound { next: first, length: HEADER };
     while sound.length < bytes.len() {

@@ -66,13 +66,13 @@ pub(super) fn put_record(out: &mut Vec<u8>, number: u64, synced: u64, payload: &
 
 /// A record as it is on disk.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Record<'a> {
+pub(super) struct FramedRecord<'a> {
     pub(super) number: u64,
     pub(super) synced: u64,
     pub(super) payload: &'a [u8],
 }
 
-impl Record<'_> {
+impl FramedRecord<'_> {
     /// Bytes on disk.
     pub(super) fn len(&self) -> usize {
         RECORD_HEADER + self.payload.len()
@@ -80,12 +80,12 @@ impl Record<'_> {
 }
 
 /// The record at the start of the bytes; `None` when it is cut short or damaged.
-pub(super) fn parse_record(bytes: &[u8]) -> Option<Record<'_>> {
+pub(super) fn parse_record(bytes: &[u8]) -> Option<FramedRecord<'_>> {
     let length = u32_at(bytes, 0)? as usize;
     let record = bytes.get(..RECORD_HEADER.checked_add(length)?)?;
     let (length, frame) = record.split_at_checked(LENGTH)?;
     let rest = sealed(frame, length)?;
-    Some(Record { number: u64_at(rest, 0)?, synced: u64_at(rest, 8)?, payload: &rest[16..] })
+    Some(FramedRecord { number: u64_at(rest, 0)?, synced: u64_at(rest, 8)?, payload: &rest[16..] })
 }
 
 /// The number a record at the start of the bytes would have, unchecked.
@@ -112,7 +112,7 @@ mod tests {
             let mut bytes = Vec::new();
             put_record(&mut bytes, 7, 6, &payload);
             prop_assert_eq!(
-                parse_record(&bytes), Some(Record { number: 7, synced: 6, payload: &payload })
+                parse_record(&bytes), Some(FramedRecord { number: 7, synced: 6, payload: &payload })
             );
             let at = at.index(bytes.len());
             prop_assert_eq!(parse_record(&bytes[..at]), None);

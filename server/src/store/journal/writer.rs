@@ -3,11 +3,11 @@
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender};
 
-use super::medium::Segment;
+use super::medium::LogSegment;
 use super::segment::{self, RECORD_HEADER};
-use super::{Position, Written};
+use super::{RecordPosition, Written};
 use crate::store::Error;
-use crate::store::entry::Note;
+use crate::store::entry::RecordMeta;
 use crate::store::faults::{Fault, fault};
 
 /// Bytes written with one sync at most, but for a single larger record.
@@ -15,7 +15,7 @@ const GROUP_BYTES: usize = 8 << 20;
 
 /// A record that waits to be written.
 pub(super) struct Append {
-    pub(super) note: Note,
+    pub(super) meta: RecordMeta,
     /// Begins a segment of its own.
     pub(super) fresh: bool,
     pub(super) payload: Vec<u8>,
@@ -24,10 +24,10 @@ pub(super) struct Append {
 }
 
 /// Told of every record once it is on disk.
-type Deliver = Box<dyn FnMut(Note, Written) + Send>;
+type Deliver = Box<dyn FnMut(RecordMeta, Written) + Send>;
 
-pub(super) struct Writer {
-    segment: Segment,
+pub(super) struct JournalWriter {
+    segment: LogSegment,
     /// Number of the next record.
     next: u64,
     /// Day the newest record was written on.
@@ -46,9 +46,9 @@ enum Failure {
     Unknown(String),
 }
 
-impl Writer {
+impl JournalWriter {
     pub(super) fn new(
-        segment: Segment,
+        segment: LogSegment,
         next: u64,
         day: Option<u16>,
         segment_bytes: u64,
@@ -61,12 +61,12 @@ impl Writer {
     pub(super) fn run(mut self, receiver: &Receiver<Append>) {
         let mut held = None;
         while let Some(first) = held.take().or_else(|| receiver.recv().ok()) {
-            let (mut bytes, day) = (first.payload.len(), first.note.day);
+            let (mut bytes, day) = (first.payload.len(), first.meta.day);
             let mut group = vec![first];
             while bytes < GROUP_BYTES
                 && let Ok(append) = receiver.try_recv()
             {
-                if append.fresh || append.note.day != day {
+                if append.fresh || append.meta.day != day {
                     held = Some(append);
                     break;
                 }
@@ -90,8 +90,8 @@ impl Writer {
         match written {
             Ok(written) => {
                 for (append, written) in group.into_iter().zip(written) {
-                    self.day = Some(append.note.day);
-                    (self.deliver)(append.note, written);
+                    self.day = Some(append.meta.day);
+                    (self.deliver)(append.meta, written);
                     // A caller that went away is told by its own retry.
                     let _ = append.done.send(Ok(written));
                 }
@@ -124,13 +124,13 @@ impl Writer {
 
     /// Starts a new segment when the current one is full or of another day.
     fn roll(&mut self, first: &Append) -> Result<(), Failure> {
-        let another_day = self.day.is_some_and(|day| day != first.note.day);
+        let another_day = self.day.is_some_and(|day| day != first.meta.day);
         let full = self.segment.length >= self.segment_bytes;
         if !full && (self.segment.first == self.next || !(another_day || first.fresh)) {
             return Ok(());
         }
-        let Segment { dir, journal, .. } = &self.segment;
-        match Segment::create(dir, *journal, self.next) {
+        let LogSegment { dir, journal, .. } = &self.segment;
+        match LogSegment::create(dir, *journal, self.next) {
             Ok(segment) => self.segment = segment,
             // Half a segment may be there now: a restart removes it.
             Err(error) => return Err(Failure::Unknown(error.to_string())),
@@ -146,7 +146,7 @@ impl Writer {
             let offset = self.segment.length + (bytes.len() + RECORD_HEADER) as u64;
             segment::put_record(&mut bytes, number, synced, &append.payload);
             let length = append.payload.len() as u32;
-            let at = Position { segment: self.segment.first, offset: offset as u32, length };
+            let at = RecordPosition { segment: self.segment.first, offset: offset as u32, length };
             written.push(Written { number, at });
         }
         if let Err(error) = self.segment.medium.append(&bytes) {
@@ -175,7 +175,7 @@ mod tests {
 
     use super::super::medium::Medium;
     use super::*;
-    use crate::store::entry::What;
+    use crate::store::entry::RecordSubject;
 
     /// A disk that fails when told to.
     #[derive(Clone, Default)]
@@ -211,16 +211,16 @@ mod tests {
         }
     }
 
-    fn writer(disk: &Faulty) -> Writer {
+    fn writer(disk: &Faulty) -> JournalWriter {
         let medium = Box::new(disk.clone());
-        let segment = Segment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
-        Writer::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
+        let segment = LogSegment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
+        JournalWriter::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
     }
 
-    fn append(writer: &mut Writer) -> Result<Written, Error> {
+    fn append(writer: &mut JournalWriter) -> Result<Written, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
-        let note = Note { day: 1, what: What::Upload { id: Uuid::nil(), contributor: 1 } };
-        writer.commit(vec![Append { note, fresh: false, payload: b"payload".to_vec(), done }]);
+        let meta = RecordMeta { day: 1, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } };
+        writer.commit(vec![Append { meta, fresh: false, payload: b"payload".to_vec(), done }]);
         outcome.recv().unwrap()
     }
 

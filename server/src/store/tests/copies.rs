@@ -1,7 +1,7 @@
 //! Export, import, backup, verification.
 
-use super::super::canvas::Source;
 use super::super::clock::tests::TODAY;
+use super::super::write_buffer::Source;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;
 
@@ -85,7 +85,7 @@ fn a_backup_is_the_store_as_it_was() {
     commit_all(&store, &uploads[..10]);
     TODAY.set(Some(101));
     commit_all(&store, &uploads[10..20]);
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     let then = bytes(&store);
     let mut archive = Vec::new();
     // The archive ends where the journal did: what comes after is not in it.
@@ -167,7 +167,7 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     manifest::write_legacy(dir.path(), &vetted);
     assert_ne!(std::fs::read(&manifest).unwrap(), current);
     let store = with(vetted);
-    assert_eq!(store.progress().borrow().state, State::Serving, "nothing is folded anew");
+    assert_eq!(store.progress().borrow().state, MapStatus::Serving, "nothing is folded anew");
     assert!(store.lineage() == lineage && marker.exists());
     assert_eq!(std::fs::read(&manifest).unwrap(), current, "it is rewritten");
     drop(store);
@@ -204,12 +204,12 @@ fn a_sound_store_is_verified_and_damage_is_named() {
     TODAY.set(Some(100));
     commit_all(&store, &some_uploads(10));
     TODAY.set(Some(101));
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     commit_all(&store, &some_uploads(20)[10..]);
     let tiles = map(&store).len() as u64;
     let found = store.verify(true).unwrap();
     assert_eq!((found.records, found.tiles, found.compared), (11, tiles, Some(tiles)));
-    assert!(found.base_tiles > 0 && found.damage.is_empty(), "{found:?}");
+    assert!(found.checkpoint_tiles > 0 && found.damage.is_empty(), "{found:?}");
 
     let newest = std::fs::read_dir(dir.path().join("journal")).unwrap().map(|e| e.unwrap().path()).max();
     let newest = newest.unwrap();
@@ -221,10 +221,10 @@ fn a_sound_store_is_verified_and_damage_is_named() {
     assert!(found.damage.len() == 1 && found.damage[0].contains("journal"), "{found:?}");
     std::fs::write(&newest, good).unwrap();
 
-    let base = dir.path().join("base-10");
-    let mut bad = std::fs::read(&base).unwrap();
+    let checkpoint = dir.path().join("base-10");
+    let mut bad = std::fs::read(&checkpoint).unwrap();
     bad[60] ^= 1;
-    std::fs::write(&base, bad).unwrap();
+    std::fs::write(&checkpoint, bad).unwrap();
     let found = store.verify(false).unwrap();
     assert!(found.damage.len() == 1 && found.damage[0].contains("base"), "{found:?}");
 }

@@ -14,7 +14,7 @@ fn noise(seed: i64) -> i64 {
 }
 
 /// Two fronts with bays of different depths, 120 m long, as a contributor sees them who is off by some cells.
-fn street(contributor: u64, [east, north]: [i64; 2]) -> Upload {
+fn street(contributor: u64, [east, north]: [i64; 2]) -> UploadRecord {
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for (x, side) in (0..1200).flat_map(|x| [(x, -1), (x, 1)]) {
         let depth = 100 + 15 * (noise(side * 1000 + x / 47) % 4);
@@ -26,7 +26,7 @@ fn street(contributor: u64, [east, north]: [i64; 2]) -> Upload {
     let share = |cells: BTreeMap<u32, CellHits>| Share::of_hits(cells.into_values().collect());
     let tiles: BTreeMap<_, _> = tiles.into_iter().map(|(id, cells)| (id, share(cells))).collect();
     let detections = tiles.values().map(Share::detections).sum();
-    Upload {
+    UploadRecord {
         id: Uuid::from_u128(contributor.into()),
         pass: Pass { day: 20_000, contributor },
         forget_before: 0,

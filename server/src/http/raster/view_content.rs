@@ -7,10 +7,10 @@ use echofix_core::geo::{Grid, TILE_M, TileId, Zone};
 use siphasher::sip::SipHasher24;
 
 use super::plane::{Plane, TILE_SHIFT};
-use super::view::Lattice;
+use super::view::PixelGrid;
 use super::{Layer, Overview, Spot, View};
 use crate::http::error::Error;
-use crate::locating::PLACES;
+use crate::locating::SPOTS_PER_SIDE;
 use crate::store::{MapStore, TileInfo};
 
 /// From this zoom on a view shows tiles, below it the overview's blocks.
@@ -24,29 +24,29 @@ const FULL: f64 = 12_000.0;
 const BORDERED: f64 = 8.0;
 
 /// log2 of the cells along the side of the square that one expectation stands for.
-pub const PLACE_SHIFT: u32 = TILE_SHIFT - PLACES.trailing_zeros();
+pub const SPOT_SHIFT: u32 = TILE_SHIFT - SPOTS_PER_SIDE.trailing_zeros();
 /// Tiles around one that what is expected of its fixes rests on.
 const REACH: i32 = 2;
 
 /// All that contributes to a view.
-pub enum Scene {
+pub enum ViewContent {
     /// The whole map from far away.
     Far(Arc<Overview>),
     /// Tiles of one zone or of several.
-    Near(Vec<Part>),
+    Near(Vec<ZonePart>),
 }
 
 /// A zone's part of a view.
-pub struct Part {
+pub struct ZonePart {
     zone: Zone,
-    lattice: Lattice,
+    pixel_grid: PixelGrid,
     tiles: Vec<TileInfo>,
 }
 
 /// Adds a tile's evidence to a plane.
 pub type Fetch<'a> = &'a dyn Fn(&mut Plane, &TileInfo) -> Result<(), Error>;
 
-impl Scene {
+impl ViewContent {
     /// The tiles under a near view.
     ///
     /// # Errors
@@ -55,13 +55,13 @@ impl Scene {
         let mapped = store.zones();
         let mut parts = Vec::new();
         for zone in zones_of(view).into_iter().filter(|zone| mapped.contains(zone)) {
-            let lattice = Lattice::new(view, &Grid::new(zone)?)?;
-            let [low, high] = lattice.bounds().map(|corner| TileId::of(zone, corner));
+            let pixel_grid = PixelGrid::new(view, &Grid::new(zone)?)?;
+            let [low, high] = pixel_grid.bounds().map(|corner| TileId::of(zone, corner));
             // What is expected of fixes rests on the tiles around, which may lie beyond the view.
             let reach = if layer == Layer::Localizability { REACH } else { 0 };
             let (x, y) = (low.x - reach..=high.x + reach, low.y - reach..=high.y + reach);
             let tiles = store.catalog(zone, x, y)?;
-            parts.push(Part { zone, lattice, tiles });
+            parts.push(ZonePart { zone, pixel_grid, tiles });
         }
         Ok(Self::Near(parts))
     }
@@ -126,14 +126,14 @@ impl Scene {
     }
 }
 
-impl Part {
+impl ZonePart {
     /// Draws the pixels that belong to the zone.
     fn draw(&self, layer: Layer, view: &View, fetch: Fetch, spots: &mut [Spot]) -> Result<(), Error> {
         let pixel_m = view.pixel_m();
         let plane = self.plane(layer, view, fetch)?;
         for (i, spot) in spots.iter_mut().enumerate() {
             let (px, py) = ((i % view.side) as f64 + 0.5, (i / view.side) as f64 + 0.5);
-            let at = self.lattice.at(px, py);
+            let at = self.pixel_grid.at(px, py);
             let found = plane.sample(at, pixel_m);
             if found.level > 0 && Zone::of(view.at(px, py)) == Ok(self.zone) {
                 *spot = if layer == Layer::Coverage { bordered(found, at, pixel_m) } else { found };
@@ -146,10 +146,10 @@ impl Part {
         let whole_tiles = layer == Layer::Coverage || view.z < CELLS_FROM;
         let finest = match layer {
             Layer::Coverage => TILE_SHIFT,
-            Layer::Localizability => PLACE_SHIFT,
+            Layer::Localizability => SPOT_SHIFT,
             _ => 0,
         };
-        let [low, high] = self.lattice.bounds();
+        let [low, high] = self.pixel_grid.bounds();
         let [first, last] = [low, high].map(|corner| TileId::of(self.zone, corner));
         let mut plane = Plane::new(low, high, Plane::shift_for(view.pixel_m()).max(finest));
         let seen = |id: TileId| (first.x..=last.x).contains(&id.x) && (first.y..=last.y).contains(&id.y);

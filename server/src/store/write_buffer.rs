@@ -33,7 +33,7 @@ impl Source for InMemory {
 }
 
 /// A map, and in memory the tiles of it that were looked at or changed.
-pub(super) struct Canvas<'a> {
+pub(super) struct WriteBuffer<'a> {
     source: &'a dyn Source,
     tiles: BTreeMap<TileId, Touched>,
     /// What is seen where there is no tile. It is not kept for each of them: uploads may ask for any number.
@@ -49,7 +49,7 @@ struct Touched {
     changed: bool,
 }
 
-impl<'a> Canvas<'a> {
+impl<'a> WriteBuffer<'a> {
     pub(super) fn new(source: &'a dyn Source) -> Self {
         Self { source, tiles: BTreeMap::new(), nothing: Folded::default() }
     }
@@ -107,12 +107,12 @@ mod tests {
     #[test]
     fn what_is_not_there_is_not_kept() {
         let source = InMemory::new();
-        let mut canvas = Canvas::new(&source);
+        let mut buffer = WriteBuffer::new(&source);
         let id = *some_uploads(1)[0].contribution.tiles.keys().next().unwrap();
-        assert_eq!(canvas.get(id).unwrap(), &Folded::default());
-        assert!(canvas.looked_at(id).is_none() && canvas.tiles.is_empty());
-        assert_eq!(canvas.change(id, 7).unwrap().version, 7);
-        assert_eq!(canvas.get(id).unwrap().version, 7);
-        assert_eq!(canvas.into_changed().count(), 1);
+        assert_eq!(buffer.get(id).unwrap(), &Folded::default());
+        assert!(buffer.looked_at(id).is_none() && buffer.tiles.is_empty());
+        assert_eq!(buffer.change(id, 7).unwrap().version, 7);
+        assert_eq!(buffer.get(id).unwrap().version, 7);
+        assert_eq!(buffer.into_changed().count(), 1);
     }
 }
