@@ -12,6 +12,7 @@
 //! - [`feed`]: the last fixes and uploads, for operators to watch; kept in memory only.
 //! - [`health`]: is the service alive, is it ready, and if not, why.
 //! - [`metrics`]: what the service counts.
+//! - [`trace`]: an id and a span for every request, in every log line that belongs to it.
 
 pub mod args;
 pub mod config;
@@ -25,3 +26,4 @@ pub mod mapping;
 pub mod metrics;
 pub mod run;
 pub mod store;
+pub mod trace;

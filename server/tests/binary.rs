@@ -30,21 +30,21 @@ fn the_configuration_in_force_is_printed_and_checked() {
 }
 
 /// The running program; killed when the test fails.
-struct Running(Child);
+struct RunningProgram(Child);
 
-impl Drop for Running {
+impl Drop for RunningProgram {
     fn drop(&mut self) {
         let _ = self.0.kill();
     }
 }
 
-fn start(dir: &Path) -> (Running, serde_json::Value) {
+fn start(dir: &Path) -> (RunningProgram, serde_json::Value) {
     let (data, addresses) = (dir.join("data"), dir.join("addresses.json"));
     let _ = std::fs::remove_file(&addresses);
     let arguments = ["--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0"];
     let mut command = program(&arguments);
     command.arg("--data-dir").arg(data).arg("--addr-file").arg(&addresses);
-    let child = Running(command.stderr(Stdio::null()).spawn().unwrap());
+    let child = RunningProgram(command.stderr(Stdio::null()).spawn().unwrap());
     let deadline = Instant::now() + Duration::from_secs(20);
     while !addresses.exists() {
         assert!(Instant::now() < deadline, "the server does not start");

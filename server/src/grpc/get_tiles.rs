@@ -14,6 +14,7 @@ use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TileP
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
+use tracing::Instrument;
 
 use super::invalid_field::{InvalidField, require, required};
 use super::{blocking, status, tile_id};
@@ -51,11 +52,12 @@ pub(super) async fn get_tiles(
         blocking(move || plan(&*store, request)).await??
     };
     let (sender, receiver) = mpsc::channel(1);
-    tokio::spawn(async move {
-        // The caller's place is free again once the answer has ended.
+    let sending = async move {
+        // The caller's permit is returned once the answer has ended.
         let _permit = permit;
         send(store, plan, sender, stall).await;
-    });
+    };
+    tokio::spawn(sending.in_current_span());
     Ok(ReceiverStream::new(receiver))
 }
 

@@ -19,6 +19,7 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
+use tracing::{Instrument, Span};
 
 use super::invalid_field::{InvalidField, require, required};
 use super::status;
@@ -26,6 +27,7 @@ use super::{blocking, decode, now_us};
 use crate::feed::{Feed, FixEvent};
 use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::trace::in_current_span;
 use encode::{BatchFacts, milliseconds, reason, refused, response};
 
 /// The service's localization half.
@@ -73,11 +75,15 @@ impl LocalizationService for LocalizationApi {
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
         let inner = Arc::clone(&self.inner);
+        // The answers are made after this call has returned, and belong to its span still.
+        let call = Span::current();
         let answers = request.into_inner().then(move |asked| {
-            let inner = Arc::clone(&inner);
+            let (inner, call) = (Arc::clone(&inner), call.clone());
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked?;
-                let outcome = match inner.answer(request.unwrap_or_default(), None).await {
+                let span = tracing::info_span!(parent: &call, "message", sequence);
+                let answer = inner.answer(request.unwrap_or_default(), None).instrument(span);
+                let outcome = match answer.await {
                     Ok(response) => Streamed::Response(response),
                     Err(status) => Streamed::Error(as_message(&status)),
                 };
@@ -109,7 +115,7 @@ impl Localization {
         let (response, check) = blocking(move || inner.work(request, deadline, admitted)).await??;
         if let Some(check) = check {
             let inner = Arc::clone(self);
-            tokio::task::spawn_blocking(move || inner.run_check(check));
+            tokio::task::spawn_blocking(in_current_span(move || inner.run_check(check)));
         }
         Ok(response)
     }
@@ -123,6 +129,7 @@ impl Localization {
         mut admitted: Admitted,
     ) -> Result<(LocalizeResponse, Option<SampledCheck>), Status> {
         let asked = self.question(request, deadline).map_err(|violation| {
+            tracing::debug!(field = violation.field, "request not valid");
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
         })?;
@@ -160,6 +167,8 @@ impl Localization {
     }
 
     fn refuse(&self, refusal: &LocateRefusal) -> Status {
+        // Without its words: they say where.
+        tracing::debug!(reason = reason(refusal), "not located");
         self.count(reason(refusal));
         refused(refusal)
     }
@@ -213,6 +222,7 @@ impl Localization {
             FixStatus::AboveAlertLimit => "ABOVE_ALERT_LIMIT",
             _ => verdict_word(&answer.alignment.verdict),
         };
+        tracing::debug!(status = word, align_ms = milliseconds(answer.timing.align), "located");
         self.count(word);
         self.metrics.align_seconds.observe(answer.timing.align.as_secs_f64());
         self.metrics.queue_seconds.observe(answer.timing.queued.as_secs_f64());

@@ -21,6 +21,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::locating::Expectations;
 use crate::store::MapStore;
+use crate::trace::in_current_span;
 pub use localize::LocalizationApi;
 pub use upload::MappingApi;
 
@@ -88,11 +89,11 @@ impl v1::mapping_service_server::MappingService for MappingApi {
 
 /// Runs what may block on the disk or compute for long, off the async threads.
 ///
-/// It runs to its end even when the caller goes away.
+/// It runs to its end even when the caller goes away, in the span of the request.
 pub(crate) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Status> {
-    tokio::task::spawn_blocking(work).await.map_err(|error| status::torn(&error))
+    tokio::task::spawn_blocking(in_current_span(work)).await.map_err(|error| status::torn(&error))
 }
 
 /// Microseconds since the Unix epoch.

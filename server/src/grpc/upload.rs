@@ -98,7 +98,10 @@ impl MappingApi {
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.contribution, response.encode_to_vec());
         match self.store.commit(UploadRecord { id, pass, forget_before, contribution, answer })? {
-            Receipt::Counted { epoch } => Ok(UploadResponse { epoch, ..response }),
+            Receipt::Counted { epoch } => {
+                tracing::debug!(epoch, "upload counted");
+                Ok(UploadResponse { epoch, ..response })
+            }
             duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
         }
     }

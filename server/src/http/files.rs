@@ -22,6 +22,7 @@ use super::error::Error;
 use super::operations::work;
 use super::raster::corners;
 use crate::store::{self, MapStore, Operations, Region};
+use crate::trace::in_current_span;
 
 /// Bytes handed on at a time.
 const CHUNK: usize = 64 << 10;
@@ -124,7 +125,7 @@ fn streamed(
     let (sender, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     let operations = Arc::clone(&app.state.operations);
     let permit = app.limiter.operate()?;
-    tokio::task::spawn_blocking(move || {
+    tokio::task::spawn_blocking(in_current_span(move || {
         let _held = permit;
         let mut out = BufWriter::with_capacity(CHUNK, BodyWriter(sender.clone()));
         let made = make(&*operations, &mut out).map(|_| ());
@@ -133,7 +134,7 @@ fn streamed(
             // The reader may be gone.
             let _ = sender.blocking_send(Err(io::Error::other(error)));
         }
-    });
+    }));
     let disposition = format!("attachment; filename=\"{name}\"");
     let headers = [
         (header::CONTENT_TYPE, kind.to_owned()),

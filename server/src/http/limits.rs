@@ -11,6 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
 use super::error::Error;
+use crate::trace::in_current_span;
 
 /// Longest address served, bytes; the longest sensible one is a tenth of it.
 const MAX_ADDRESS: usize = 1024;
@@ -93,11 +94,11 @@ impl Limiter {
         let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
         let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
         let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
-        tokio::task::spawn_blocking(move || {
+        tokio::task::spawn_blocking(in_current_span(move || {
             // Held by the work, not by the request: a client that hangs up frees no place early.
             let _held = (queued, permit);
             work()
-        })
+        }))
         .await?
     }
 

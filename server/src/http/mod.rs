@@ -41,6 +41,7 @@ use crate::health::Health;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
+use crate::trace::RequestSpanLayer;
 use error::Error;
 
 /// What the routes answer from.
@@ -80,6 +81,7 @@ pub fn router(state: HttpState) -> Router {
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
         .layer(from_fn(limits::guard))
+        .layer(RequestSpanLayer::http())
         .with_state(app)
 }
 
@@ -135,6 +137,18 @@ mod tests {
         assert_eq!(response.status(), 405);
         let response = site.get(&format!("/api/v1/map?{}", "x".repeat(2000))).await;
         assert_eq!(response.status(), 414);
+    }
+
+    /// Catches: a request whose answer does not name it, or names it by whatever the caller chose.
+    #[tokio::test]
+    async fn every_answer_names_its_request() {
+        let site = TestSite::default();
+        for path in ["/healthz", "/nowhere", "/api/v1/tiles/at?lat=30&lon=-97"] {
+            let given = site.send(Method::GET, path, &[("x-request-id", "op-7")]).await;
+            assert_eq!(given.headers()["x-request-id"], "op-7", "{path}");
+            let replaced = site.send(Method::GET, path, &[("x-request-id", "op 7")]).await;
+            assert!(replaced.headers()["x-request-id"].len() == 36, "{path}");
+        }
     }
 
     #[tokio::test]

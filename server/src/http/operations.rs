@@ -20,6 +20,7 @@ use super::catalog::progress_json;
 use super::day::{iso_date, parse_date};
 use super::error::Error;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, QuarantinedRecord, TileDiff};
+use crate::trace::in_current_span;
 
 /// Tiles of a difference that are told one by one, at most.
 const MAX_TILES: usize = 10_000;
@@ -259,11 +260,11 @@ pub async fn work<T: Send + 'static>(
 ) -> Result<T, Error> {
     let operations = Arc::clone(&app.state.operations);
     let permit = app.limiter.operate()?;
-    tokio::task::spawn_blocking(move || {
+    tokio::task::spawn_blocking(in_current_span(move || {
         // Held by the work, not by the request.
         let _held = permit;
         work(&*operations)
-    })
+    }))
     .await?
 }
 

@@ -23,6 +23,7 @@ use crate::config::LimitsConfig;
 use crate::grpc::{LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
 use crate::locating::Locator;
+use crate::trace::RequestSpanLayer;
 
 /// Bytes of a stream and of a connection that may be under way before they are read.
 const STREAM_WINDOW: u32 = 1 << 20;
@@ -68,6 +69,7 @@ pub(super) async fn serve(
 
     let acceptor = Acceptor::new(listener, connections, limits.handshake());
     let served = limited(limits)
+        .layer(RequestSpanLayer::grpc())
         .layer(InterceptorLayer::new(note_request))
         .add_service(localization)
         .add_service(mapping)

@@ -140,8 +140,8 @@ impl Scene {
         Ok([decoded_ms, checked_ms, organised_ms, window_ms, align_ms, rest_ms.max(0.0), encoded_ms])
     }
 
-    fn organised(&self, batch: &decode::Batch) -> anyhow::Result<Batch> {
-        let decode::Batch { reference_time_us, mounts, scans, odometry } = batch;
+    fn organised(&self, batch: &decode::DecodedBatch) -> anyhow::Result<Batch> {
+        let decode::DecodedBatch { reference_time_us, mounts, scans, odometry } = batch;
         let gate = self.config.locating.gate();
         Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
     }

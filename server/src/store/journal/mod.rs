@@ -18,6 +18,7 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use tracing::Span;
 use uuid::Uuid;
 
 use super::entry::RecordMeta;
@@ -183,7 +184,8 @@ impl Journal {
         let (done, outcome) = mpsc::sync_channel(1);
         let sender = self.sender.as_ref().ok_or_else(gone)?;
         let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        sender.send(Append { meta, fresh, payload, done }).map_err(|_| gone())?;
+        let span = Span::current();
+        sender.send(Append { meta, fresh, payload, span, done }).map_err(|_| gone())?;
         Ok(outcome)
     }
 

@@ -3,6 +3,8 @@
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender};
 
+use tracing::Span;
+
 use super::medium::LogSegment;
 use super::segment::{self, RECORD_HEADER};
 use super::{RecordPosition, Written};
@@ -19,6 +21,8 @@ pub(super) struct Append {
     /// Begins a segment of its own.
     pub(super) fresh: bool,
     pub(super) payload: Vec<u8>,
+    /// The span of the caller, for what is logged about its record.
+    pub(super) span: Span,
     /// Where the caller waits for the outcome.
     pub(super) done: SyncSender<Result<Written, Error>>,
 }
@@ -118,6 +122,7 @@ impl JournalWriter {
                 }
                 Failure::Unknown(reason) => Error::Stopped(reason.clone()),
             };
+            append.span.in_scope(|| tracing::warn!("a record was not written"));
             let _ = append.done.send(Err(error));
         }
     }
@@ -220,7 +225,13 @@ mod tests {
     fn append(writer: &mut JournalWriter) -> Result<Written, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
         let meta = RecordMeta { day: 1, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } };
-        writer.commit(vec![Append { meta, fresh: false, payload: b"payload".to_vec(), done }]);
+        writer.commit(vec![Append {
+            meta,
+            fresh: false,
+            payload: b"payload".to_vec(),
+            span: Span::none(),
+            done,
+        }]);
         outcome.recv().unwrap()
     }
 
