@@ -1,4 +1,4 @@
-//! ScanColumns stay in the columns they came in.
+//! Scans stay in the columns they came in.
 
 use echofix_core::scan::{self, Scan, ScanView, first_row};
 use echofix_proto::v1;
