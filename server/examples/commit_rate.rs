@@ -88,12 +88,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// A store of its own, removed with what it holds afterwards. It takes what it is told without vetting it.
 fn with_store<T>(data_dir: &Path, work: impl FnOnce(&EmbeddedStore) -> T) -> Result<T, Box<dyn Error>> {
     let data_dir = data_dir.join("store");
-    let options = Options {
-        data_dir: data_dir.clone(),
-        cache_bytes: 256 << 20,
-        segment_bytes: 64 << 20,
-        policy: Policy::trusting(),
-    };
+    let options = Options::new(data_dir.clone(), Policy::trusting());
     let done = work(&EmbeddedStore::open(&options)?);
     std::fs::remove_dir_all(data_dir)?;
     Ok(done)

@@ -128,9 +128,9 @@ fn streamed(
     tokio::task::spawn_blocking(in_current_span(move || {
         let _held = permit;
         let mut out = BufWriter::with_capacity(CHUNK, BodyWriter(sender.clone()));
-        let made = make(&*operations, &mut out).map(|_| ());
-        if let Err(error) = made.map_err(|error| error.to_string()).and_then(|()| flushed(out)) {
-            tracing::warn!(error, "a file was not sent whole");
+        let made = make(&*operations, &mut out).map_err(NotSent::from);
+        if let Err(error) = made.and_then(|_| Ok(out.flush()?)) {
+            tracing::warn!(%error, "a file was not sent whole");
             // The reader may be gone.
             let _ = sender.blocking_send(Err(io::Error::other(error)));
         }
@@ -144,8 +144,13 @@ fn streamed(
     Ok((headers, Body::from_stream(ReceiverStream::new(receiver))).into_response())
 }
 
-fn flushed(mut out: BufWriter<BodyWriter>) -> Result<(), String> {
-    out.flush().map_err(|error| error.to_string())
+/// Why a file was not sent whole.
+#[derive(Debug, thiserror::Error)]
+enum NotSent {
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    #[error("the rest could not be sent: {0}")]
+    Rest(#[from] io::Error),
 }
 
 struct BodyWriter(mpsc::Sender<io::Result<Bytes>>);

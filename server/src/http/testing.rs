@@ -287,8 +287,8 @@ impl StoredSite {
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options =
-            Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
+        let usual = Options::new(data_dir, Policy::trusting());
+        let options = Options { cache_bytes: 1 << 20, segment_bytes: 1 << 20, ..usual };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {

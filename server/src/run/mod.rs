@@ -112,10 +112,9 @@ impl Server {
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
         let options = Options {
-            data_dir: dir.clone(),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
-            policy: config.mapping.policy(),
+            ..Options::new(dir.clone(), config.mapping.policy())
         };
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;

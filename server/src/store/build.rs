@@ -105,7 +105,7 @@ fn fill(
     let mut vetting = Vetting::new(shared.policy.vetting);
     fresh.load(checkpoint)?;
     let exclusion = &index.exclusion(applied);
-    let records = CountedRecords { journal, index, exclusion };
+    let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
     let mut folded = checkpoint.last;
     loop {
         // A later control takes a generation of its own.
@@ -171,7 +171,7 @@ fn compacted_checkpoint(
     for (number, last) in compactions {
         // What was decided after a settlement does not change what was settled.
         let exclusion = &index.exclusion(number);
-        let records = CountedRecords { journal, index, exclusion };
+        let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
         folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| reporter.at(at))?;
         if index.ended() {
             return Ok(None);

@@ -1,29 +1,43 @@
-//! What day it is.
+//! What time it is.
 
+use std::fmt;
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use echofix_core::time::day_of;
 
-/// Microseconds since the Unix epoch.
-pub(super) fn now_us() -> i64 {
-    #[cfg(test)]
-    if let Some(day) = tests::TODAY.get() {
-        return i64::from(day) * echofix_core::time::DAY_US;
+/// Tells the time. The store takes the days of its records from it.
+#[derive(Clone)]
+pub struct Clock(Arc<dyn Fn() -> i64 + Send + Sync>);
+
+impl Clock {
+    /// A clock that tells what a function says: microseconds since the Unix epoch.
+    pub fn new(now_us: impl Fn() -> i64 + Send + Sync + 'static) -> Self {
+        Self(Arc::new(now_us))
     }
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64)
+
+    /// Microseconds since the Unix epoch.
+    #[must_use]
+    pub fn now_us(&self) -> i64 {
+        (self.0)()
+    }
+
+    /// The UTC day, counted from the Unix epoch.
+    #[must_use]
+    pub fn today(&self) -> u16 {
+        day_of(self.now_us())
+    }
 }
 
-/// The UTC day, counted from the Unix epoch.
-pub(super) fn today() -> u16 {
-    day_of(now_us())
+/// The system's clock.
+impl Default for Clock {
+    fn default() -> Self {
+        Self::new(|| SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64))
+    }
 }
 
-#[cfg(test)]
-pub(super) mod tests {
-    use std::cell::Cell;
-
-    thread_local! {
-        /// What a test says the day is, for calls of its own thread.
-        pub(in crate::store) static TODAY: Cell<Option<u16>> = const { Cell::new(None) };
+impl fmt::Debug for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Clock").finish_non_exhaustive()
     }
 }

@@ -12,12 +12,14 @@ use super::generation::Generation;
 use super::index::JournalIndex;
 use super::journal::Journal;
 use super::options::Options;
-use super::{Error, MapProgress, MapStatus, Policy};
+use super::{Clock, Error, MapProgress, MapStatus, Policy};
 
 /// What the store and its folding thread share.
 pub(super) struct StoreContext {
     pub(super) cache_bytes: u64,
+    pub(super) write_buffer_tiles: usize,
     pub(super) policy: Policy,
+    pub(super) clock: Clock,
     pub(super) journal_id: Uuid,
     pub(super) lineage: u64,
     pub(super) journal: Journal,
@@ -48,7 +50,9 @@ impl StoreContext {
     ) -> Self {
         Self {
             cache_bytes: options.cache_bytes,
+            write_buffer_tiles: options.write_buffer_tiles,
             policy: options.policy,
+            clock: options.clock.clone(),
             journal_id,
             lineage,
             journal,

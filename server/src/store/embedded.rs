@@ -23,7 +23,7 @@ use super::journal::{Journal, Written};
 use super::manifest::Manifest;
 use super::{
     Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options, QuarantinedRecord,
-    Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, clock, io_error,
+    Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, io_error,
 };
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
@@ -106,7 +106,7 @@ impl EmbeddedStore {
 
     /// Writes a control; the caller holds [`StoreContext::decide`].
     fn control(&self, action: Action) -> Result<u64, Error> {
-        let at_us = clock::now_us();
+        let at_us = self.shared.clock.now_us();
         let (meta, payload) = entry::control(day_of(at_us), Control { at_us, action });
         // Settled segments end where the settlement begins.
         let fresh = matches!(action, Action::Compact(_));
@@ -140,7 +140,7 @@ fn resume(
         }
         Ok((generation, folded)) => Ok(FoldWorker { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
-            tracing::warn!(reason, "the tiles cannot be used; folding them anew");
+            tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
             Ok(nothing)
         }
     }
@@ -188,7 +188,7 @@ impl MapStore for EmbeddedStore {
         match self.shared.index.reserve(upload.id) {
             Reserved::Counted(written) => self.counted_as(written),
             Reserved::New(_reservation) => {
-                let (meta, payload) = entry::upload(clock::today(), &upload);
+                let (meta, payload) = entry::upload(self.shared.clock.today(), &upload);
                 Ok(Receipt::Counted { epoch: self.append(meta, false, payload)?.number })
             }
         }

@@ -89,7 +89,7 @@ fn fold_record(
 
 /// Folds a group of records, each tile read and written once, unless there are very many of them.
 pub(super) fn fold_group(
-    journal: &Journal,
+    (journal, buffer_tiles): (&Journal, usize),
     sink: &mut impl Sink,
     counted: &[Written],
     folded: u64,
@@ -98,7 +98,7 @@ pub(super) fn fold_group(
     let mut reader = journal.reader();
     let mut left = counted.iter();
     loop {
-        let mut buffer = WriteBuffer::new(sink);
+        let mut buffer = WriteBuffer::new(sink, buffer_tiles);
         let (mut quarantined, mut up_to) = (Vec::new(), folded);
         while let Some(written) = left.next() {
             let payload = reader.payload(written.at)?;
@@ -121,6 +121,8 @@ pub(super) struct CountedRecords<'a> {
     pub(super) journal: &'a Journal,
     pub(super) index: &'a JournalIndex,
     pub(super) exclusion: &'a Exclusion,
+    /// See [`super::Options::write_buffer_tiles`].
+    pub(super) buffer_tiles: usize,
 }
 
 /// Folds the records after `folded` up to `last`, but for the excluded ones. `report` hears of every step
@@ -133,11 +135,11 @@ pub(super) fn replay(
     vetting: &mut Vetting,
     mut report: impl FnMut(u64) -> bool,
 ) -> Result<u64, Error> {
-    let CountedRecords { journal, index, exclusion } = *records;
+    let CountedRecords { journal, index, exclusion, buffer_tiles } = *records;
     while folded < last && report(folded) {
         let group = index.records(folded, last);
         let Some(newest) = group.last().map(|written| written.number) else { break };
-        fold_group(journal, sink, &index.counted(&group, exclusion), newest, vetting)?;
+        fold_group((journal, buffer_tiles), sink, &index.counted(&group, exclusion), newest, vetting)?;
         folded = newest;
     }
     Ok(folded)

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::attempt::caught;
+use super::attempt::{TilesError, caught};
 use super::build::{self, Built};
 use super::context::StoreContext;
 use super::fold::fold_group;
@@ -40,7 +40,7 @@ pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
             Ok(true) if !rebuilding || folder.folded >= whole => shared.set_state(MapStatus::Serving),
             Ok(true) => {}
             Err(reason) => {
-                tracing::error!(reason, "folding failed; trying again");
+                tracing::error!(%reason, "folding failed; trying again");
                 if !rebuilding {
                     shared.set_state(MapStatus::Stalled);
                 }
@@ -59,7 +59,7 @@ pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
 
 impl FoldWorker {
     /// Does what is next, waiting for it. False at the end.
-    fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, String> {
+    fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, TilesError> {
         let Some(on) = self.on.clone() else { return self.build(shared) };
         match shared.index.next(self.folded, self.applied) {
             None => Ok(false),
@@ -74,7 +74,7 @@ impl FoldWorker {
         }
     }
 
-    fn build(&mut self, shared: &StoreContext) -> Result<bool, String> {
+    fn build(&mut self, shared: &StoreContext) -> Result<bool, TilesError> {
         let built = caught(|| build::build(shared)).inspect_err(|_| {
             shared.progress.send_modify(|progress| progress.building = None);
         })?;
@@ -89,7 +89,7 @@ impl FoldWorker {
         match on.look_again() {
             Ok(folded) => self.folded = folded,
             Err(reason) => {
-                tracing::error!(reason, "the tiles cannot be used any more; folding new ones");
+                tracing::error!(%reason, "the tiles cannot be used any more; folding new ones");
                 shared.set_state(MapStatus::Rebuilding);
                 shared.serve(None);
                 on.retire();
@@ -106,5 +106,5 @@ fn fold(
     newest: u64,
     vetting: &mut Vetting,
 ) -> Result<(), Error> {
-    fold_group(&shared.journal, &mut &*on, group, newest, vetting)
+    fold_group((&shared.journal, shared.write_buffer_tiles), &mut &*on, group, newest, vetting)
 }

@@ -11,7 +11,7 @@ use echofix_core::geo::TileId;
 use echofix_core::tile;
 use uuid::Uuid;
 
-use super::attempt::caught;
+use super::attempt::{TilesError, caught};
 use super::catalog::Catalog;
 use super::checkpoint::Checkpoint;
 use super::tiles::{TileStore, TileValue};
@@ -85,9 +85,9 @@ impl Generation {
         cache_bytes: u64,
         journal: Uuid,
         publish: u8,
-    ) -> Result<(Self, u64), String> {
+    ) -> Result<(Self, u64), TilesError> {
         if !path.exists() {
-            return Err("they are gone".to_owned());
+            return Err(TilesError::Gone);
         }
         let (tiles, of) = caught(|| {
             let tiles = TileStore::open(path, cache_bytes)?;
@@ -95,7 +95,7 @@ impl Generation {
             Ok((tiles, of))
         })?;
         if of != Some(journal) {
-            return Err("they were folded from another journal".to_owned());
+            return Err(TilesError::OtherJournal);
         }
         let (catalog, folded) = caught(|| Ok(tiles.check()))??;
         Ok((
@@ -155,7 +155,7 @@ impl Generation {
     }
 
     /// Looks again at what is stored, after a failure that left it uncertain. Returns the last record.
-    pub(super) fn look_again(&self) -> Result<u64, String> {
+    pub(super) fn look_again(&self) -> Result<u64, TilesError> {
         let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
         *self.catalog_mut() = catalog;
         Ok(folded)

@@ -135,7 +135,12 @@ impl EmbeddedStore {
         })?;
         let exclusion = &index.exclusion(epoch);
         let mut vetting = Vetting::new(self.shared.policy.vetting);
-        let records = CountedRecords { journal: &self.shared.journal, index, exclusion };
+        let records = CountedRecords {
+            journal: &self.shared.journal,
+            index,
+            exclusion,
+            buffer_tiles: self.shared.write_buffer_tiles,
+        };
         let go_on = |_| !index.ended();
         replay(&records, &mut map, checkpoint.last, epoch, &mut vetting, go_on)?;
         if index.ended() {

@@ -54,6 +54,7 @@ mod verify;
 mod vetting;
 mod write_buffer;
 
+pub use clock::Clock;
 pub use embedded::EmbeddedStore;
 pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use operations::Operations;

@@ -16,7 +16,7 @@ use uuid::Uuid;
 
 use super::embedded::EmbeddedStore;
 use super::stream::{ChecksummedReader, ChecksummedWriter, bad};
-use super::{Error, clock, entry, io_error};
+use super::{Error, entry, io_error};
 
 const MAGIC: [u8; 4] = *b"EFX\x01";
 /// Tiles that go to the journal together.
@@ -91,7 +91,7 @@ impl EmbeddedStore {
                 known += 1;
                 return Ok(());
             }
-            group.push(entry::import(clock::today(), file, id, &encoded));
+            group.push(entry::import(self.shared.clock.today(), file, id, &encoded));
             if group.len() == GROUP { write(&mut group) } else { Ok(()) }
         })?;
         write(&mut group)?;

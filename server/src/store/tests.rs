@@ -17,14 +17,19 @@ mod copies;
 mod folding;
 mod past;
 
+thread_local! {
+    /// What a test says the day is, for calls of its own thread.
+    static TODAY: std::cell::Cell<Option<u16>> = const { std::cell::Cell::new(None) };
+}
+
+/// A small cache, small segments, and a write buffer that is full at once.
 fn options(dir: &Path) -> Options {
-    use super::Policy;
-    Options {
-        data_dir: dir.to_owned(),
-        cache_bytes: 8 << 20,
-        segment_bytes: 4096,
-        policy: Policy::trusting(),
-    }
+    let usual = Options::new(dir.to_owned(), Policy::trusting());
+    let system = usual.clock.clone();
+    let clock = Clock::new(move || {
+        TODAY.get().map_or_else(|| system.now_us(), |day| i64::from(day) * echofix_core::time::DAY_US)
+    });
+    Options { cache_bytes: 8 << 20, segment_bytes: 4096, write_buffer_tiles: 3, clock, ..usual }
 }
 
 fn open(dir: &Path) -> EmbeddedStore {

@@ -19,6 +19,7 @@ use echofix_core::tile::{self, Tile};
 use sled::IVec;
 use uuid::Uuid;
 
+use super::attempt::TilesError;
 use super::catalog::Catalog;
 use super::checksum::{SUM, seal, sealed};
 use super::key::key;
@@ -64,27 +65,27 @@ impl TileStore {
     }
 
     /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
-    pub(super) fn check(&self) -> Result<(Catalog, u64), String> {
+    pub(super) fn check(&self) -> Result<(Catalog, u64), TilesError> {
         let _unchanged = self.changing();
         let mut catalog = Catalog::default();
         let mut after = IVec::default();
-        while let Some((key, _)) = self.tree.get_gt(&after).map_err(|error| error.to_string())? {
+        while let Some((key, _)) = self.tree.get_gt(&after).map_err(Error::from)? {
             after = if let Some(id) = pieces::tile_of(&key) {
-                let value = self.value(id).map_err(|error| error.to_string())?.unwrap_or_default();
-                catalog.put(parse(id, &value).map_err(|error| error.to_string())?.info);
+                let value = self.value(id)?.unwrap_or_default();
+                catalog.put(parse(id, &value)?.info);
                 IVec::from(&pieces::last_key(id)[..])
             } else if key == STATE || quarantine::is_key(&key) {
                 key
             } else {
-                return Err(format!("nobody knows what {:?} is", &key[..]));
+                return Err(TilesError::UnknownKey(key.to_vec()));
             };
         }
-        match self.tree.get(STATE).map_err(|error| error.to_string())? {
-            None => Err("it is not said how far they are folded".to_owned()),
+        match self.tree.get(STATE).map_err(Error::from)? {
+            None => Err(TilesError::NoState),
             Some(state) => match parse_state(&state) {
                 Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
-                Some(_) => Err("some are missing or older than the others".to_owned()),
-                None => Err("how far they are folded is damaged".to_owned()),
+                Some(_) => Err(TilesError::Incomplete),
+                None => Err(TilesError::StateDamaged),
             },
         }
     }

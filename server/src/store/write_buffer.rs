@@ -35,14 +35,12 @@ impl Source for InMemory {
 /// A map, and in memory the tiles of it that were looked at or changed.
 pub(super) struct WriteBuffer<'a> {
     source: &'a dyn Source,
+    /// Tiles from which on they are written before more is folded.
+    capacity: usize,
     tiles: BTreeMap<TileId, Touched>,
     /// What is seen where there is no tile. It is not kept for each of them: uploads may ask for any number.
     nothing: Folded,
 }
-
-/// Tiles on a canvas from which on it is kept before more is folded: some hundred megabytes, with what one more upload
-/// may add. Tests fill it at once.
-const FULL: usize = if cfg!(test) { 3 } else { 2048 };
 
 struct Touched {
     folded: Folded,
@@ -50,13 +48,13 @@ struct Touched {
 }
 
 impl<'a> WriteBuffer<'a> {
-    pub(super) fn new(source: &'a dyn Source) -> Self {
-        Self { source, tiles: BTreeMap::new(), nothing: Folded::default() }
+    pub(super) fn new(source: &'a dyn Source, capacity: usize) -> Self {
+        Self { source, capacity, tiles: BTreeMap::new(), nothing: Folded::default() }
     }
 
     /// Is it time to keep what is on it?
     pub(super) fn is_full(&self) -> bool {
-        self.tiles.len() >= FULL
+        self.tiles.len() >= self.capacity
     }
 
     /// A tile that the record of this number changes.
@@ -107,7 +105,7 @@ mod tests {
     #[test]
     fn what_is_not_there_is_not_kept() {
         let source = InMemory::new();
-        let mut buffer = WriteBuffer::new(&source);
+        let mut buffer = WriteBuffer::new(&source, 1);
         let id = *some_uploads(1)[0].contribution.tiles.keys().next().unwrap();
         assert_eq!(buffer.get(id).unwrap(), &Folded::default());
         assert!(buffer.looked_at(id).is_none() && buffer.tiles.is_empty());

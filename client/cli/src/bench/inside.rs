@@ -63,13 +63,12 @@ impl Scene {
     /// When the map does not open.
     pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
         // As the service was told: under another policy the map would be folded anew.
-        let settings = vec![key_and_value(TRUSTING).map_err(|why| anyhow!(why))?];
+        let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {
-            data_dir: folder.join("data"),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
-            policy: config.mapping.policy(),
+            ..Options::new(folder.join("data"), config.mapping.policy())
         };
         let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
         let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));

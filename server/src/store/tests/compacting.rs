@@ -1,7 +1,6 @@
 //! Settling: the journal's head becomes the base.
 
 use super::super::build::BuildStep;
-use super::super::clock::tests::TODAY;
 use super::controls::{by_cars, bytes, copy, never_had};
 use super::*;
 

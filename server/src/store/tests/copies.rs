@@ -1,6 +1,5 @@
 //! Export, import, backup, verification.
 
-use super::super::clock::tests::TODAY;
 use super::super::write_buffer::Source;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;

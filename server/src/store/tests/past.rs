@@ -1,6 +1,5 @@
 //! Time travel.
 
-use super::super::clock::tests::TODAY;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;
 
