@@ -85,7 +85,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A store of its own, removed with what it holds afterwards. It takes what it is told without vetting it.
+/// A store of its own, removed with what it holds afterwards. It takes uploads without vetting them.
 fn with_store<T>(data_dir: &Path, work: impl FnOnce(&EmbeddedStore) -> T) -> Result<T, Box<dyn Error>> {
     let data_dir = data_dir.join("store");
     let options = Options::new(data_dir.clone(), Policy::trusting());

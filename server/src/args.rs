@@ -7,7 +7,7 @@ use clap::Args;
 
 use crate::config::{Config, Error, Sources};
 
-/// What the service can be told on its command line.
+/// The service's command line.
 #[derive(Debug, Clone, Default, Args)]
 pub struct ServeArgs {
     /// File with the configuration keys to change; without it the defaults hold

@@ -8,8 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use tokio::sync::broadcast;
 
-/// Events kept for a page that opens late.
-const KEPT: usize = 500;
+/// Events in memory for a page that opens late.
+const RECENT: usize = 500;
 
 /// An answer to a localization request.
 #[derive(Debug, Clone, Serialize)]
@@ -82,13 +82,13 @@ pub struct Channel<T> {
 
 impl<T: Clone> Channel<T> {
     fn new() -> Self {
-        Self { recent: Mutex::new(VecDeque::with_capacity(KEPT)), live: broadcast::Sender::new(256) }
+        Self { recent: Mutex::new(VecDeque::with_capacity(RECENT)), live: broadcast::Sender::new(256) }
     }
 
     /// Adds an event and sends it to whoever listens.
     pub fn publish(&self, event: T) {
         let mut recent = self.lock();
-        if recent.len() == KEPT {
+        if recent.len() == RECENT {
             recent.pop_front();
         }
         recent.push_back(event.clone());
@@ -121,9 +121,9 @@ mod tests {
     fn the_memory_is_bounded_and_keeps_the_newest() {
         let channel = Channel::new();
         let mut listener = channel.subscribe();
-        (0..KEPT + 10).for_each(|i| channel.publish(i));
-        assert_eq!(channel.recent(2), [KEPT + 8, KEPT + 9]);
-        assert_eq!(channel.recent(usize::MAX).len(), KEPT);
-        assert!(listener.try_recv().is_err(), "a listener that slept is told that it missed events");
+        (0..RECENT + 10).for_each(|i| channel.publish(i));
+        assert_eq!(channel.recent(2), [RECENT + 8, RECENT + 9]);
+        assert_eq!(channel.recent(usize::MAX).len(), RECENT);
+        assert!(listener.try_recv().is_err(), "a listener that slept learns that it missed events");
     }
 }

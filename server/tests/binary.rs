@@ -25,8 +25,8 @@ fn the_configuration_in_force_is_printed_and_checked() {
 
     let wrong = output(&["--check-config", "--set", "mapping.max_rnge_m=61"]);
     assert!(!wrong.status.success());
-    let told = String::from_utf8(wrong.stderr).unwrap();
-    assert!(told.contains("did you mean `mapping.max_range_m`?"), "{told}");
+    let message = String::from_utf8(wrong.stderr).unwrap();
+    assert!(message.contains("did you mean `mapping.max_range_m`?"), "{message}");
 }
 
 /// The running program; killed when the test fails.

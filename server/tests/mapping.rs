@@ -83,8 +83,8 @@ async fn an_upload_comes_back_as_tiles() {
     let answer = server.upload(austin(1)).await.unwrap();
     assert_eq!((answer.detections_counted, answer.epoch, answer.duplicate), (63, 1, false));
     assert_eq!(answer.dropped.unwrap(), DroppedDetections::default());
-    let told: u32 = answer.tiles.iter().map(|tile| tile.detections).sum();
-    assert_eq!(told, 63);
+    let detections: u32 = answer.tiles.iter().map(|tile| tile.detections).sum();
+    assert_eq!(detections, 63);
 
     let tiles_shown = shown(&server, &answer).await;
     let hits: u32 = tiles_shown

@@ -64,7 +64,7 @@ pub struct Config {
     pub grpc: ListenConfig,
     /// Operators.
     pub http: ListenConfig,
-    /// Where everything is kept.
+    /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What an upload must fulfil.
     pub mapping: MappingConfig,
@@ -84,7 +84,7 @@ pub struct ListenConfig {
     pub listen: SocketAddr,
 }
 
-/// Where and how data is kept.
+/// Where and how data is stored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoreConfig {

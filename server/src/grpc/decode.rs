@@ -24,7 +24,7 @@ pub const MAX_MOUNTS: usize = 64;
 pub const MAX_SCANS: usize = 16_384;
 /// Poses of one message, at most.
 pub const MAX_POSES: usize = 65_536;
-/// Microseconds of the last day the map can tell, in the year 2149.
+/// The end of the last day that the map can count, in the year 2149, microseconds.
 const END_OF_TIME_US: i64 = 65_535 * DAY_US;
 /// Metres from the odometry frame's origin that no vehicle reaches.
 const MAX_ODOMETRY_M: f64 = 1e7;
@@ -61,7 +61,7 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<DecodedBatch, Inva
     Ok(DecodedBatch { reference_time_us, mounts, scans, odometry })
 }
 
-/// A time of day that the map can tell.
+/// A time on a day that the map can count.
 ///
 /// # Errors
 /// When it lies before 1970 or after 2149.
@@ -80,7 +80,7 @@ fn is_countable(time_us: i64) -> bool {
 /// # Errors
 /// When there are none or too many, or one is not on the vehicle.
 pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, InvalidField> {
-    require(!mounts.is_empty(), field, "is empty; send the place of every radar")?;
+    require(!mounts.is_empty(), field, "is empty; send the mount of every radar")?;
     limit(mounts.len(), MAX_MOUNTS, field)?;
     let on_body = |m: f32| m.abs() <= MAX_MOUNT_M;
     let sound = |m: &v1::SensorMount| on_body(m.x_m) && on_body(m.y_m) && angle(f64::from(m.yaw_rad));

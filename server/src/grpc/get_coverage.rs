@@ -22,7 +22,7 @@ const MAX_POINTS: usize = 4_096;
 const MAX_EXPECTED: usize = 1_024;
 /// How far around a point cells count, metres.
 const RADIUS_M: f64 = 50.0;
-/// Decoded tiles kept for the next points: the neighbourhoods of several.
+/// Decoded tiles in memory for the next points: the neighbourhoods of several.
 const TILES_KEPT: usize = 64;
 
 pub(super) async fn get_coverage(

@@ -43,7 +43,7 @@ struct Localization {
 }
 
 impl LocalizationApi {
-    /// Answers from a locator; tells the feed and the metrics what came of each question.
+    /// Answers from a locator; feeds and metrics record every outcome.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
         Self { inner: Arc::new(Localization { answered: AtomicU64::new(0), locator, feed, metrics }) }
@@ -120,8 +120,8 @@ impl Localization {
         Ok(response)
     }
 
-    /// Decodes, answers, encodes and tells; computes for a while. Now and then the answer is to be
-    /// confirmed afterwards, on the same compute slot.
+    /// Decodes, answers, encodes and records; computes for a while. A sampled answer is to be checked afterwards, on the
+    /// same compute slot.
     fn work(
         &self,
         request: LocalizeRequest,
@@ -137,29 +137,29 @@ impl Localization {
         let batch = BatchFacts::of(&asked.question.batch);
         let answer = self.locator.locate(&asked.question, &mut admitted).map_err(|r| self.refuse(&r))?;
         let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
-        self.tell(&answer, &response, at.lat_deg, at.lon_deg);
+        self.record(&answer, &response, at.lat_deg, at.lon_deg);
         let check = self.is_sampled().then(|| SampledCheck { question: asked.question, answer, admitted });
         Ok((response, check))
     }
 
-    /// True for the share of the answers that is to be confirmed, evenly spread.
+    /// Is this answer one of the fraction to be checked? They are evenly spread.
     fn is_sampled(&self) -> bool {
-        let share = self.locator.config().confirm_share;
+        let fraction = self.locator.config().confirm_share;
         let count = self.answered.fetch_add(1, Ordering::Relaxed) as f64;
-        ((count + 1.0) * share).floor() > (count * share).floor()
+        ((count + 1.0) * fraction).floor() > (count * fraction).floor()
     }
 
-    /// Asks the exhaustive engine the same; computes for long.
+    /// Repeats an answer with an exact engine; computes for long.
     fn run_check(&self, check: SampledCheck) {
         let SampledCheck { question, answer, mut admitted } = check;
         let outcome = match self.locator.check_sample(&question, &answer, &mut admitted) {
             Ok(true) => "agree",
             Ok(false) => {
-                tracing::warn!("the exhaustive search found another pose than the answer's");
+                tracing::warn!("the exact engine found another pose than the answer");
                 "differ"
             }
             Err(error) => {
-                tracing::debug!(%error, "an answer could not be confirmed");
+                tracing::debug!(%error, "an answer could not be checked");
                 return;
             }
         };
@@ -211,7 +211,7 @@ impl Localization {
     }
 
     /// Metrics and the operators' feed.
-    fn tell(
+    fn record(
         &self,
         answer: &LocateAnswer,
         response: &LocalizeResponse,
@@ -247,7 +247,7 @@ impl Localization {
     }
 }
 
-/// An answer that is to be confirmed.
+/// An answer that is to be repeated with an exact engine.
 struct SampledCheck {
     question: LocateRequest,
     answer: LocateAnswer,

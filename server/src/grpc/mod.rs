@@ -46,7 +46,7 @@ impl MapApi {
         Self { store, expectations, reads: Arc::new(tokio::sync::Semaphore::new(at_once)), stall }
     }
 
-    /// A place among the readers.
+    /// The permit to read.
     fn reader(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
         let busy = |_| status::overloaded("too many readers at once", std::time::Duration::from_secs(1));
         self.reads.clone().try_acquire_owned().map_err(busy)

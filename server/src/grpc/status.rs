@@ -1,4 +1,4 @@
-//! Every error of the service as a `tonic::Status` with `google.rpc` details, in one place.
+//! Every error of the service as a `tonic::Status` with `google.rpc` details.
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -45,8 +45,8 @@ pub fn unavailable(message: impl Display, retry_after: Duration) -> Status {
 pub fn store(error: &store::Error) -> Status {
     match error {
         store::Error::Rebuilding { .. } => unavailable(error, Duration::from_secs(5)),
-        store::Error::Unknown(told) => Status::not_found(told),
-        store::Error::Unusable(told) => Status::invalid_argument(told),
+        store::Error::Unknown(what) => Status::not_found(what),
+        store::Error::Unusable(what) => Status::invalid_argument(what),
         store::Error::Io { .. } | store::Error::Stopped(_) => {
             tracing::error!(%error, "the store refuses");
             // The words name files of the machine; the vehicle only needs to know when to come again.

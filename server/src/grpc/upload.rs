@@ -30,7 +30,7 @@ use receive::{ReceivedUpload, UploadBody};
 /// When a vehicle that was turned away should come again.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Accepts contributions to the map.
+/// Accepts uploads.
 #[derive(Clone)]
 pub struct MappingApi {
     store: Arc<dyn MapStore>,
@@ -140,7 +140,7 @@ impl MappingApi {
         let response = match outcome {
             Ok(response) => response,
             Err(error) => {
-                // Not which: ids tell when they were made.
+                // Not which: from an id can be read when it was made.
                 tracing::info!(reason = word, %error, "upload refused");
                 &nothing
             }

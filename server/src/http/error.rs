@@ -28,7 +28,7 @@ pub enum Error {
         /// Bytes allowed.
         limit: usize,
     },
-    /// Every place of this kind is taken.
+    /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
     Saturated(&'static str),
     /// No answer in time.

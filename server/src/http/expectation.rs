@@ -30,7 +30,7 @@ fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id} and around it"));
     let tile = expectations.tile(id)?.ok_or_else(nothing)?;
     let grid = Grid::new(id.zone)?;
-    let limiter = tile.spots().map(|(column, row, expected)| {
+    let spots = tile.spots().map(|(column, row, expected)| {
         let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / SPOTS_PER_SIDE as f64);
         let origin = id.origin();
         let pose = Pose2::new(origin[0] + middle[0], origin[1] + middle[1], expected.weak_direction_rad());
@@ -48,8 +48,8 @@ fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
             "rival_m": expected.rival.map(|rival| [rival.x_m, rival.y_m]),
         }))
     });
-    let limiter = limiter.collect::<Result<Vec<_>, Error>>()?;
-    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": limiter }))
+    let spots = spots.collect::<Result<Vec<_>, Error>>()?;
+    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": spots }))
 }
 
 /// The margin; JSON knows no infinity, which stands for no rival.
@@ -64,7 +64,7 @@ mod tests {
     use serde_json::json;
     use std::sync::atomic::Ordering;
 
-    /// Catches what is computed anew although the map has not changed, or kept although it has.
+    /// Catches what is computed anew although the map has not changed, or cached although it has.
     #[tokio::test]
     async fn a_tile_is_assessed_once_a_version() {
         let cells: Vec<(u32, u32)> = (0..40).map(|k| (k * 6007 % (512 * 512), 1)).collect();

@@ -169,19 +169,19 @@ impl Write for BodyWriter {
 
 /// West, south, east, north, degrees.
 fn bounds(text: &str) -> Result<[f64; 4], Error> {
-    let told = || {
+    let malformed = || {
         Error::BadRequest(
             "box must be west,south,east,north in degrees, not crossing the date line".to_owned(),
         )
     };
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
-    let bounds: [f64; 4] = numbers.ok().and_then(|numbers| numbers.try_into().ok()).ok_or_else(told)?;
+    let bounds: [f64; 4] = numbers.ok().and_then(|numbers| numbers.try_into().ok()).ok_or_else(malformed)?;
     let [west, south, east, north] = bounds;
     let sound = (-180.0..=180.0).contains(&west)
         && (-180.0..=180.0).contains(&east)
         && (-90.0..=90.0).contains(&south)
         && (-90.0..=90.0).contains(&north);
-    if sound && west <= east && south <= north { Ok(bounds) } else { Err(told()) }
+    if sound && west <= east && south <= north { Ok(bounds) } else { Err(malformed()) }
 }
 
 /// The tiles that touch a box.

@@ -1,4 +1,4 @@
-//! What one listener or many may cost: lengths, times, places.
+//! What one client or many may cost: lengths, times, permits.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,9 +21,9 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 const OPERATE_WITHIN: Duration = Duration::from_hours(1);
 /// Operations on the whole map at once.
 const OPERATIONS: usize = 2;
-/// Requests that may wait for a place to render.
+/// Requests that may wait for a permit to render.
 const WAITING: usize = 64;
-/// Time a request waits for a place to render.
+/// Time a request waits for a permit to render.
 const WAIT_AT_MOST: Duration = Duration::from_secs(5);
 /// Event streams open at once.
 const LISTENERS: usize = 64;
@@ -55,7 +55,7 @@ fn with_safe_headers(mut response: Response) -> Response {
     response
 }
 
-/// Places to work in, so that a crowd of page views cannot take the machine from the vehicles.
+/// Permits to work, so that a crowd of page views cannot take the machine from the vehicles.
 pub struct Limiter {
     waiting: Arc<Semaphore>,
     working: Arc<Semaphore>,
@@ -82,7 +82,7 @@ impl Limiter {
         }
     }
 
-    /// Runs blocking work once there is a place for it.
+    /// Runs blocking work once there is a permit for it.
     ///
     /// # Errors
     /// When too many wait already or the wait is too long.
@@ -90,19 +90,19 @@ impl Limiter {
         &self,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        const FULL: Error = Error::Saturated("every place to render is taken");
+        const FULL: Error = Error::Saturated("all permits to render are taken");
         let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
         let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
         let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
         tokio::task::spawn_blocking(in_current_span(move || {
-            // Held by the work, not by the request: a client that hangs up frees no place early.
+            // Held by the work, not by the request: a client that hangs up frees no permit early.
             let _held = (queued, permit);
             work()
         }))
         .await?
     }
 
-    /// A place for an operation on the whole map, given back when dropped.
+    /// A permit for an operation on the whole map, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
@@ -111,12 +111,12 @@ impl Limiter {
         Arc::clone(&self.operating).try_acquire_owned().map_err(|_| FULL)
     }
 
-    /// A place to listen from, given back when dropped.
+    /// A permit for an event stream, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
     pub fn listen(&self) -> Result<OwnedSemaphorePermit, Error> {
-        const FULL: Error = Error::Saturated("every place to listen is taken");
+        const FULL: Error = Error::Saturated("all event streams are taken");
         Arc::clone(&self.listening).try_acquire_owned().map_err(|_| FULL)
     }
 }
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn listeners_are_bounded_and_their_place_comes_back() {
+    fn listeners_are_bounded_and_their_permit_comes_back() {
         let limiter = Limiter::new(1, 1, 1);
         let first = limiter.listen().unwrap();
         assert!(matches!(limiter.listen(), Err(Error::Saturated(_))));

@@ -70,7 +70,7 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
         .map(Some);
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {
-        // The place is given back when the stream ends.
+        // The permit is returned when the stream ends.
         let _held = &permit;
         event.map(Ok::<_, Infallible>)
     });

@@ -22,9 +22,9 @@ use super::error::Error;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, QuarantinedRecord, TileDiff};
 use crate::trace::in_current_span;
 
-/// Tiles of a difference that are told one by one, at most.
+/// Tiles of a difference that are listed, at most.
 const MAX_TILES: usize = 10_000;
-/// Events told at most.
+/// Events of the history that are listed, at most.
 const MAX_EVENTS: usize = 10_000;
 
 /// `?limit=`
@@ -178,7 +178,7 @@ pub async fn rollback(
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case")]
 pub enum RevokeBody {
-    /// All that a contributor told so far, by its pseudonym.
+    /// All uploads of a contributor so far, by its pseudonym.
     Contributor(String),
     /// An upload or an imported file, by its id.
     Upload(String),
@@ -193,14 +193,14 @@ pub async fn revoke(
     let work = move |operations: &dyn Operations| match revoke {
         RevokeBody::Contributor(pseudonym) => Ok(operations.revoke_contributor(&pseudonym)?),
         RevokeBody::Upload(id) => {
-            let told = |error| Error::BadRequest(format!("`{id}` is not a UUID: {error}"));
-            Ok(operations.revoke_upload(Uuid::try_parse(&id).map_err(told)?)?)
+            let malformed = |error| Error::BadRequest(format!("`{id}` is not a UUID: {error}"));
+            Ok(operations.revoke_upload(Uuid::try_parse(&id).map_err(malformed)?)?)
         }
     };
     decided(&app, move |operations| work(operations).map(Some)).await
 }
 
-/// What is made final.
+/// What is compacted.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CompactBody {
@@ -214,8 +214,8 @@ pub async fn compact(
     body: Result<Json<CompactBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(CompactBody { before }) = body?;
-    let told = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
-    let day = parse_date(&before).ok_or_else(told)?;
+    let malformed = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
+    let day = parse_date(&before).ok_or_else(malformed)?;
     decided(&app, move |operations| Ok(operations.compact(day)?)).await
 }
 
@@ -253,7 +253,7 @@ async fn decided(
     Ok(fresh(json!({ "epoch": epoch, "map": map })))
 }
 
-/// Runs blocking work in a place of its own kind: it may take long, and pictures must not wait for it.
+/// Runs blocking work under a permit of its own kind: it may take long, and pictures must not wait for it.
 pub async fn work<T: Send + 'static>(
     app: &App,
     work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
@@ -278,7 +278,7 @@ mod tests {
     use serde_json::json;
 
     #[tokio::test]
-    async fn history_is_told_and_decided_about() {
+    async fn history_is_listed_and_decided_about() {
         let site = StoredSite::with_uploads(6).await;
         let answer = site.post("/api/v1/map/rollback", &json!({ "epoch": 4 })).await;
         let body = json_of(answer).await;
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn mistakes_are_told() {
+    async fn mistakes_are_reported() {
         let site = StoredSite::with_uploads(1).await;
         for (path, body, status) in [
             ("/api/v1/map/rollback", json!({ "epoch": 9 }), 404),

@@ -303,9 +303,9 @@ impl StoredSite {
             health: Arc::default(),
             ending: watch::Sender::new(false).subscribe(),
         });
-        let kept = Self { store, uploads, router, _dir: dir };
-        kept.caught_up().await;
-        kept
+        let site = Self { store, uploads, router, _dir: dir };
+        site.caught_up().await;
+        site
     }
 
     /// Waits until the map shows all that was decided.

@@ -42,10 +42,9 @@ pub struct LocatingConfig {
     pub tile_cache_mib: u64,
     /// Which engine searches.
     pub engine: EngineChoice,
-    /// Share of the answers that are asked again of the exhaustive engine.
+    /// Fraction of the answers that are repeated with an exact engine: the sampled check.
     pub confirm_share: f64,
-    /// Half width of the search that is made when the prior's does not hold the answer, metres; 0 for
-    /// none.
+    /// Half width of the relocalization, metres; 0 for none.
     pub wide_search_m: f64,
     /// Slower vehicles are refused, metres per second.
     pub min_speed_mps: f64,
@@ -65,7 +64,7 @@ pub struct LocatingConfig {
 }
 
 impl LocatingConfig {
-    /// Which detections are kept.
+    /// Which detections a batch is made of.
     #[must_use]
     pub fn gate(&self) -> Gate {
         Gate {

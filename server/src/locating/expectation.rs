@@ -1,4 +1,4 @@
-//! What fixes can be expected to be, place by place; kept while memory lasts.
+//! Localizability: what a fix can be expected to be, on a grid of spots; cached while memory lasts.
 //!
 //! Computed for those who look at the map, one tile at a time and on one thread: a vehicle that asks where
 //! it is never waits for it.
@@ -15,13 +15,13 @@ use moka::sync::Cache;
 use super::prepared_tiles::PreparedTiles;
 use crate::store::{Error, MapStore, TileInfo};
 
-/// Places along a tile's side: a batch reaches several times as far as from one to the next.
+/// Spots along a tile's side: a batch reaches several times as far as from one to the next.
 pub const SPOTS_PER_SIDE: usize = 2;
-/// Side of the square that a place stands for, metres.
+/// Side of the square that a spot stands for, metres.
 const SPOT_M: f64 = TILE_M / SPOTS_PER_SIDE as f64;
-/// Tiles kept.
-const KEPT: u64 = 100_000;
-/// Memory for prepared tiles, MiB: a tile and its neighbours, and what the next ones share with it.
+/// Tiles whose expectations are cached.
+const CACHED_TILES: u64 = 100_000;
+/// Memory for prepared tiles, MiB: a tile and its neighbours, and what the next ones need of it, too.
 const TILE_CACHE_MIB: u64 = 32;
 
 /// A tile as it was in certain versions of it and of the tiles around it, two deep: those within reach, and
@@ -37,26 +37,26 @@ struct ExpectationKey {
 pub struct TileExpectation {
     /// The newest version of a tile that it rests on: the tile itself and those within reach of a fix.
     pub version: u64,
-    /// By place, row by row from the south-west.
+    /// Spot by spot, row by row from the south-west.
     spots: [Localizability; SPOTS_PER_SIDE * SPOTS_PER_SIDE],
 }
 
 impl TileExpectation {
-    /// Its places as (column, row, what can be expected there).
+    /// Its spots as (column, row, what can be expected there).
     pub fn spots(&self) -> impl Iterator<Item = (usize, usize, &Localizability)> {
-        self.spots.iter().enumerate().map(|(i, place)| (i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE, place))
+        self.spots.iter().enumerate().map(|(i, spot)| (i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE, spot))
     }
 
-    /// What can be expected at the place that stands for map metres in the tile.
+    /// What can be expected at the spot that stands for map metres in the tile.
     #[must_use]
-    pub fn at(&self, id: TileId, place: [f64; 2]) -> &Localizability {
+    pub fn at(&self, id: TileId, at: [f64; 2]) -> &Localizability {
         let origin = id.origin();
-        let index = |axis: usize| (((place[axis] - origin[axis]) / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
+        let index = |axis: usize| (((at[axis] - origin[axis]) / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
         &self.spots[index(1) * SPOTS_PER_SIDE + index(0)]
     }
 }
 
-/// Tells what fixes can be expected to be.
+/// Assesses what fixes can be expected to be.
 pub struct Expectations {
     store: Arc<dyn MapStore>,
     search: Search,
@@ -70,14 +70,14 @@ impl Expectations {
     /// Of fixes on a map that are searched and judged in this way.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, search: Search, integrity: Integrity) -> Self {
-        // From any of its places, the tile and its neighbours are all that is looked at.
+        // From any of its spots, the tile and its neighbours are all that is looked at.
         let most_m = TILE_M + 0.5 * SPOT_M - REACH_M;
         Self {
             store,
             search: Search { extent_m: search.extent_m.min(most_m), ..search },
             integrity,
             tiles: PreparedTiles::new(TILE_CACHE_MIB),
-            known: Cache::new(KEPT),
+            known: Cache::new(CACHED_TILES),
             assessor: Mutex::default(),
         }
     }
@@ -107,8 +107,8 @@ impl Expectations {
         let origin = id.origin();
         let spots = std::array::from_fn(|i| {
             let middle = [i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE].map(|step| (step as f64 + 0.5) * SPOT_M);
-            let place = [origin[0] + middle[0], origin[1] + middle[1]];
-            assessor.assess(frame, &found.tiles, place, &self.search, &self.integrity)
+            let at = [origin[0] + middle[0], origin[1] + middle[1]];
+            assessor.assess(frame, &found.tiles, at, &self.search, &self.integrity)
         });
         let version = key.versions.iter().copied().max().unwrap_or_default();
         let made = Arc::new(TileExpectation { version, spots });
@@ -116,7 +116,7 @@ impl Expectations {
         Ok(Some(made))
     }
 
-    /// What a fix will most likely be told.
+    /// The verdict that a fix will most likely get.
     #[must_use]
     pub fn verdict(&self, expected: &Localizability) -> Expected {
         expected.expected(&self.integrity)

@@ -66,7 +66,7 @@ pub struct LocateAnswer {
     pub integrity_risk: f64,
     /// True when the prior is combined into it.
     pub contains_prior: bool,
-    /// True when the search was repeated over a wide area.
+    /// True when the pose was found by relocalization.
     pub relocalized: bool,
     /// The map it rests on.
     pub map: MapUsed,
@@ -158,10 +158,10 @@ pub enum LocateRefusal {
         /// The most.
         most: f64,
     },
-    /// The prior cannot be placed on the map.
+    /// The prior lies where there is no UTM zone.
     #[error(transparent)]
     Place(#[from] geo::Error),
-    /// All compute slots and places in the queue are taken.
+    /// All compute slots are taken and the queue is full.
     #[error("{waiting} requests are waiting already; try again in {} ms", retry_after.as_millis())]
     Overloaded {
         /// Requests under way.
@@ -230,8 +230,8 @@ impl Locator {
         self.answer(question, admitted.slot.aligner(), queued)
     }
 
-    /// Asks the question of an answer again, with the engine that tries every hypothesis. Takes some
-    /// hundred times as long as the answer.
+    /// Repeats a request with the engine that tries every hypothesis: does it find the same? Takes some hundred times as
+    /// long as the answer.
     ///
     /// # Errors
     /// When the map cannot be read any more.
@@ -241,13 +241,13 @@ impl Locator {
         answer: &LocateAnswer,
         admitted: &mut Admitted,
     ) -> Result<bool, LocateRefusal> {
-        let place = self.place(question)?;
-        let found = self.tiles.get(&*self.store, place.frame).map_err(LocateRefusal::Store)?;
+        let placed = self.place(question)?;
+        let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
-            Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
+            Task { frame: placed.frame, tiles: &found.tiles, batch: &question.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
         let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
-        Ok(again.correction.distance_m(&answer.found) < CONFIRMED_WITHIN_M)
+        Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 
     /// What needs no map to be refused.
@@ -295,9 +295,9 @@ impl Locator {
         let relocalized = wide.is_some();
         alignment = wide.unwrap_or(alignment);
         let combined = question.combine && alignment.verdict == Verdict::Usable;
-        // The prior is told in true east and north, the alignment in the grid's.
-        let told = turned(&question.covariance, grid.convergence_rad(question.at)?);
-        let combined = combined.then(|| alignment.combined(&prior.pose, &told)).flatten();
+        // The prior is in true east and north, the alignment in the grid's.
+        let covariance = turned(&question.covariance, grid.convergence_rad(question.at)?);
+        let combined = combined.then(|| alignment.combined(&prior.pose, &covariance)).flatten();
         let contains_prior = combined.is_some();
         alignment = combined.unwrap_or(alignment);
         let align = aligning.elapsed();
@@ -337,9 +337,9 @@ impl Locator {
         Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
     }
 
-    /// A search of a wide area with all headings, when the answer lies on the edge of the prior's or
-    /// nothing there explains the batch, and there is time for it. What it finds, far from where the
-    /// vehicle believes to be, is to be asked for again, not to be used.
+    /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search
+    /// or nothing there explains the batch, and there is time for it. What it finds, far from the prior, is to be
+    /// asked for again, not to be used.
     fn relocalize(
         &self,
         question: &LocateRequest,
@@ -348,11 +348,12 @@ impl Locator {
         answer: &Alignment,
         aligner: &mut Aligner,
     ) -> Result<Option<Alignment>, LocateRefusal> {
-        let astray = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
-        let late =
-            question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
+        let not_found = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
+        let late = question
+            .deadline
+            .is_some_and(|at| at.saturating_duration_since(Instant::now()) < RELOCALIZATION_TIME);
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        if !astray || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
+        if !not_found || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
             return Ok(None);
         }
         let wide = Prior {
@@ -379,9 +380,9 @@ struct PlacedPrior {
 }
 
 /// Two engines agree when their answers lie this near, metres.
-const CONFIRMED_WITHIN_M: f64 = 0.2;
-/// Time that a wide search is given.
-const WIDE_TAKES: Duration = Duration::from_millis(100);
+const AGREES_WITHIN_M: f64 = 0.2;
+/// Time that a relocalization takes.
+const RELOCALIZATION_TIME: Duration = Duration::from_millis(100);
 
 fn used(found: &WindowTiles) -> MapUsed {
     MapUsed {
@@ -410,7 +411,7 @@ fn no_map(frame: Frame, at: LatLon) -> LocateRefusal {
     LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
 }
 
-/// The contract's word for what a fix will most likely be told, without its prefix.
+/// The contract's word for the status that a fix will most likely get, without its prefix.
 #[must_use]
 pub fn expected_word(expected: Expected) -> &'static str {
     match expected {

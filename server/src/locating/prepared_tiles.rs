@@ -1,4 +1,4 @@
-//! Tiles as weights, kept while memory lasts.
+//! Tiles as weights, cached while memory lasts.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;

@@ -8,12 +8,12 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::LocateRefusal;
 
-/// What a refused request is told to wait.
+/// How long a refused request is asked to wait.
 const RETRY_AFTER: Duration = Duration::from_millis(200);
 
 /// Slots with their buffers.
 pub(super) struct ComputeSlots {
-    places: usize,
+    capacity: usize,
     /// Requests that run or wait.
     admitted: Arc<Semaphore>,
     /// Requests that run.
@@ -31,10 +31,10 @@ pub(super) struct ComputeSlot {
 
 impl ComputeSlots {
     pub(super) fn new(threads: usize, queue: usize) -> Self {
-        let places = threads + queue;
+        let capacity = threads + queue;
         Self {
-            places,
-            admitted: Arc::new(Semaphore::new(places)),
+            capacity,
+            admitted: Arc::new(Semaphore::new(capacity)),
             running: Arc::new(Semaphore::new(threads)),
             aligners: Arc::default(),
         }
@@ -42,7 +42,7 @@ impl ComputeSlots {
 
     /// Waits for a slot in order of arrival; refuses at once when too many wait already.
     pub(super) async fn take(&self) -> Result<ComputeSlot, LocateRefusal> {
-        let overloaded = |_| LocateRefusal::Overloaded { waiting: self.places, retry_after: RETRY_AFTER };
+        let overloaded = |_| LocateRefusal::Overloaded { waiting: self.capacity, retry_after: RETRY_AFTER };
         let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(overloaded)?;
         let running = Arc::clone(&self.running).acquire_owned().await;
         let running = running.map_err(|_| LocateRefusal::Ending)?;
@@ -93,6 +93,6 @@ mod tests {
         let hung_up = tokio::time::timeout(Duration::from_millis(5), slots.take()).await;
         assert!(hung_up.is_err());
         let waits = tokio::time::timeout(Duration::from_millis(5), slots.take()).await;
-        assert!(waits.is_err(), "there is a place in the queue again");
+        assert!(waits.is_err(), "there is room in the queue again");
     }
 }

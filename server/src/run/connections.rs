@@ -46,7 +46,7 @@ impl Acceptor {
         ReceiverStream::new(receiver)
     }
 
-    /// The next connection there is a place for; others are closed at once.
+    /// The next connection there is a permit for; others are closed at once.
     async fn next(&self) -> Connection {
         loop {
             let stream = match self.listener.accept().await {

@@ -45,7 +45,7 @@ mod tests {
 
     #[test]
     fn a_store_that_does_not_go_on_is_not_ready() {
-        let told = |state, stopped| {
+        let reason = |state, stopped| {
             hindrance(&MapProgress {
                 state,
                 epoch: 3,
@@ -54,9 +54,13 @@ mod tests {
                 stopped,
             })
         };
-        assert_eq!(told(MapStatus::Serving, false), None, "while another generation is made, one is served");
-        assert!(told(MapStatus::Serving, true).unwrap().contains("journal stopped"));
-        assert!(told(MapStatus::Stalled, false).unwrap().contains("3 of 5"));
-        assert!(told(MapStatus::Rebuilding, false).unwrap().contains("rebuilding"));
+        assert_eq!(
+            reason(MapStatus::Serving, false),
+            None,
+            "while another generation is made, one is served"
+        );
+        assert!(reason(MapStatus::Serving, true).unwrap().contains("journal stopped"));
+        assert!(reason(MapStatus::Stalled, false).unwrap().contains("3 of 5"));
+        assert!(reason(MapStatus::Rebuilding, false).unwrap().contains("rebuilding"));
     }
 }

@@ -3,7 +3,7 @@
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
-//! - [`retention`]: old uploads are made final.
+//! - [`retention`]: old uploads are compacted.
 //! - [`signals`]: when to end.
 
 mod connections;
@@ -183,7 +183,7 @@ impl Server {
     }
 }
 
-/// Binds and runs a service; tells where it listens in the log and, if asked, as JSON in a file.
+/// Binds and runs a service; reports where it listens in the log and, if asked, as JSON in a file.
 ///
 /// # Errors
 /// When it cannot start, or a port fails.

@@ -1,4 +1,4 @@
-//! Once a day, what was kept long enough is made final.
+//! Once a day, uploads that are older than the retention are compacted.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use crate::grpc::now_us;
 /// How often the day is looked at.
 const TICK: Duration = Duration::from_hours(1);
 
-/// Settles for as long as it is polled.
+/// Compacts for as long as it is polled.
 pub(super) async fn keep(shared: ServiceContext) {
     let retention_days = shared.config.mapping.retention_days;
     if retention_days == 0 {
@@ -22,15 +22,15 @@ pub(super) async fn keep(shared: ServiceContext) {
         let operations = shared.operations.clone();
         let before = before_day(now_us(), retention_days);
         match tokio::task::spawn_blocking(move || operations.compact(before)).await {
-            Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are made final"),
+            Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are compacted"),
             Ok(Ok(None)) => {}
-            Ok(Err(error)) => tracing::error!(%error, "old uploads could not be made final; trying again"),
-            Err(error) => tracing::error!(%error, "making old uploads final did not end well"),
+            Ok(Err(error)) => tracing::error!(%error, "old uploads could not be compacted; trying again"),
+            Err(error) => tracing::error!(%error, "compacting old uploads did not end well"),
         }
     }
 }
 
-/// What was written before this day is no longer kept.
+/// What was written before this day is compacted.
 fn before_day(now_us: i64, retention_days: u16) -> u16 {
     day_of(now_us).saturating_sub(retention_days)
 }

@@ -1,4 +1,4 @@
-//! A copy of a data directory as a tar archive, made while the store goes on: key, base, and the journal up
+//! A backup: a data directory as a tar archive, made while the store goes on: key, checkpoint, and the journal up
 //! to what was on disk when it began. A store that is started on what the archive holds folds the same map.
 
 use std::fs::File;
@@ -23,7 +23,7 @@ impl EmbeddedStore {
         Ok(bytes)
     }
 
-    /// Opened all at once: what is settled and deleted later stays readable.
+    /// Opened all at once: what is compacted and deleted later stays readable.
     fn parts(&self) -> Result<Vec<BackupPart>, Error> {
         let checkpoint = self.shared.checkpoint();
         let opening = "opening what is to be copied";
@@ -51,7 +51,7 @@ fn put(out: &mut dyn Write, part: BackupPart) -> io::Result<()> {
     out.write_all(&[0; BLOCK][..padding])
 }
 
-/// POSIX.1-1988 ("ustar"): the names are short, and 8 GiB is more than any file here has... but a base
+/// POSIX.1-1988 ("ustar"): the names are short, and 8 GiB is more than any file here has... but a checkpoint
 /// of a continent; GNU's binary sizes, which every tar reads, hold that, too.
 fn header(name: &str, length: u64) -> [u8; BLOCK] {
     let mut block = [0; BLOCK];

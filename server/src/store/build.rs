@@ -1,12 +1,12 @@
 //! A new generation of tiles, made beside the one that is served.
 //!
-//! 1. What is to be settled is folded into a new base: written, synced, renamed.
-//! 2. The base and the journal after it are folded, without what the controls exclude, into a new
+//! 1. What is to be compacted is folded into a new checkpoint: written, synced, renamed.
+//! 2. The checkpoint and the journal after it are folded, without what the controls exclude, into a new
 //!    directory.
 //! 3. Tiles whose bytes are as they were keep their version; the others get the control's number.
 //! 4. The manifest names the new generation: from here on a restart serves it.
-//! 5. It is served, and then what nobody needs any more is deleted: the old generation, the old base, the
-//!    settled segments.
+//! 5. It is served, and then what nobody needs any more is deleted: the old generation, the old checkpoint, the
+//!    compacted segments.
 //!
 //! A crash before step 4 leaves the old state and some files that the next start removes; one after it
 //! leaves only deletions to be done.
@@ -75,13 +75,13 @@ pub(super) fn build(shared: &StoreContext) -> Result<Option<Built>, Error> {
     }
     reached(shared, BuildStep::Served)?;
     if let Err(error) = discard_compacted(shared, checkpoint) {
-        tracing::error!(%error, "settled records could not be deleted; the next start does");
+        tracing::error!(%error, "compacted records could not be deleted; the next start does");
     }
     tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
     Ok(Some(Built { generation, applied, folded }))
 }
 
-/// Deletes what a base stands for.
+/// Deletes what a checkpoint stands for.
 pub(super) fn discard_compacted(shared: &StoreContext, checkpoint: Checkpoint) -> Result<(), Error> {
     let mut current = shared.checkpoint_mut();
     let last = checkpoint.last;
@@ -92,7 +92,7 @@ pub(super) fn discard_compacted(shared: &StoreContext, checkpoint: Checkpoint) -
     current.remove_others(shared.dir.root())
 }
 
-/// Folds base and journal into an empty generation. Returns the last record it holds; `None` when the
+/// Folds checkpoint and journal into an empty generation. Returns the last record it holds; `None` when the
 /// end was called.
 fn fill(
     shared: &StoreContext,
@@ -147,7 +147,7 @@ fn set_versions(
     })
 }
 
-/// The base that the controls up to `applied` ask for; made if need be. `None` when the end was called.
+/// The checkpoint that the controls up to `applied` ask for; made if need be. `None` when the end was called.
 fn compacted_checkpoint(
     shared: &StoreContext,
     applied: u64,
@@ -169,7 +169,7 @@ fn compacted_checkpoint(
     let (mut folded, journal) = (checkpoint.last, &shared.journal);
     let mut vetting = Vetting::new(shared.policy.vetting);
     for (number, last) in compactions {
-        // What was decided after a settlement does not change what was settled.
+        // What was decided after a compaction does not change what was compacted.
         let exclusion = &index.exclusion(number);
         let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
         folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| reporter.at(at))?;
@@ -191,12 +191,12 @@ fn compacted_checkpoint(
     Ok(Some(checkpoint))
 }
 
-/// Settled records are gone and what stood for them, too.
+/// Compacted records are gone and what stood for them, too.
 pub(super) fn uncovered(before: u64, checkpoint: u64) -> Error {
     Error::Damaged {
-        what: "the base".to_owned(),
+        what: "the checkpoint".to_owned(),
         reason: format!(
-            "the journal begins after record {before} but the newest sound base ends at {checkpoint}. Restore the \
+            "the journal begins after record {before} but the newest sound checkpoint ends at {checkpoint}. Restore the \
              file base-{before} or a later one from a backup"
         ),
     }

@@ -1,4 +1,4 @@
-//! The base: the map as of a record, without any memory of who made it. It stands for the records up to
+//! The checkpoint: the map as of a record, without any memory of who made it. It stands for the records up to
 //! that one, which are deleted once it is on disk.
 //!
 //! ```text
@@ -20,7 +20,7 @@ use super::{Error, io_error};
 
 const MAGIC: [u8; 4] = *b"EFB\x01";
 
-/// A base that is sound, or the emptiness before the first record.
+/// A checkpoint that is sound, or the emptiness before the first record.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Checkpoint {
     /// `None` for the emptiness.
@@ -32,20 +32,20 @@ pub(super) struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// The newest sound base of a journal in a directory.
+    /// The newest sound checkpoint of a journal in a directory.
     pub(super) fn newest(root: &Path, journal: Uuid) -> Result<Self, Error> {
         let mut newest = Self::default();
         for path in files(root)? {
             match read(&path, |_, _, _| Ok(())) {
                 Ok((of, checkpoint)) if of == journal && checkpoint.last > newest.last => newest = checkpoint,
                 Ok(_) => {}
-                Err(error) => tracing::warn!(path = %path.display(), %error, "a base cannot be used"),
+                Err(error) => tracing::warn!(path = %path.display(), %error, "a checkpoint cannot be used"),
             }
         }
         Ok(newest)
     }
 
-    /// Writes a base and brings it to disk.
+    /// Writes a checkpoint and brings it to disk.
     pub(super) fn write(
         root: &Path,
         journal: Uuid,
@@ -75,7 +75,7 @@ impl Checkpoint {
         });
         match failure {
             Some(error) => Err(error),
-            None => written.map_err(io_error("writing the base")),
+            None => written.map_err(io_error("writing the checkpoint")),
         }?;
         Ok(Self { path: Some(root.join(name)), last, uploads })
     }
@@ -92,10 +92,10 @@ impl Checkpoint {
         read(path, each).map(|_| ())
     }
 
-    /// Deletes all bases but this one.
+    /// Deletes all checkpoints but this one.
     pub(super) fn remove_others(&self, root: &Path) -> Result<(), Error> {
         for path in files(root)?.into_iter().filter(|path| Some(path) != self.path.as_ref()) {
-            fs::remove_file(path).map_err(io_error("removing an older base"))?;
+            fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
         }
         Ok(())
     }
@@ -107,13 +107,13 @@ fn read(
 ) -> Result<(Uuid, Checkpoint), Error> {
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
-            Error::Damaged { what: format!("the base {}", path.display()), reason: error.to_string() }
+            Error::Damaged { what: format!("the checkpoint {}", path.display()), reason: error.to_string() }
         }
-        _ => io_error("reading the base")(error),
+        _ => io_error("reading the checkpoint")(error),
     };
     let mut input = ChecksummedReader::new(BufReader::new(File::open(path).map_err(failed)?));
     if input.array().map_err(failed)? != MAGIC {
-        return Err(failed(bad("it is no base")));
+        return Err(failed(bad("it is no checkpoint")));
     }
     let journal = Uuid::from_bytes(input.array().map_err(failed)?);
     let mut number = || input.number().map_err(failed);

@@ -6,12 +6,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use echofix_core::time::day_of;
 
-/// Tells the time. The store takes the days of its records from it.
+/// A source of the time. The store takes the days of its records from it.
 #[derive(Clone)]
 pub struct Clock(Arc<dyn Fn() -> i64 + Send + Sync>);
 
 impl Clock {
-    /// A clock that tells what a function says: microseconds since the Unix epoch.
+    /// A clock that reads a function: microseconds since the Unix epoch.
     pub fn new(now_us: impl Fn() -> i64 + Send + Sync + 'static) -> Self {
         Self(Arc::new(now_us))
     }

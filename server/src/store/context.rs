@@ -26,9 +26,9 @@ pub(super) struct StoreContext {
     pub(super) index: Arc<JournalIndex>,
     pub(super) progress: watch::Sender<MapProgress>,
     served: RwLock<Option<Arc<Generation>>>,
-    /// Held for writing while settled records go.
+    /// Held for writing while compacted records go.
     checkpoint: RwLock<Checkpoint>,
-    /// Uploads in the base.
+    /// Uploads in the checkpoint.
     pub(super) compacted_uploads: AtomicU64,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
@@ -88,13 +88,13 @@ impl StoreContext {
         std::mem::replace(&mut *self.served.write().unwrap_or_else(PoisonError::into_inner), generation)
     }
 
-    /// The base; no settled record goes while this is held.
+    /// The checkpoint; no compacted record goes while this is held.
     pub(super) fn checkpoint(&self) -> RwLockReadGuard<'_, Checkpoint> {
         // It is replaced in one step.
         self.checkpoint.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The base, and the right to delete what it covers.
+    /// The checkpoint, and the right to delete what it covers.
     pub(super) fn checkpoint_mut(&self) -> RwLockWriteGuard<'_, Checkpoint> {
         self.checkpoint.write().unwrap_or_else(PoisonError::into_inner)
     }
@@ -112,7 +112,7 @@ impl StoreContext {
         });
     }
 
-    /// A journal that stopped once accepts nothing any more, and that is told.
+    /// A journal that stopped once accepts nothing any more; the progress says so.
     pub(super) fn note_stop(&self, error: &Error) {
         if matches!(error, Error::Stopped(_)) {
             self.progress.send_if_modified(|progress| !std::mem::replace(&mut progress.stopped, true));

@@ -70,7 +70,7 @@ impl EmbeddedStore {
         let deliver = {
             let (index, progress) = (index.clone(), progress.clone());
             move |meta: RecordMeta, written: Written| {
-                // Noting wakes the folding thread: it must not be ahead of what is told.
+                // The index wakes the folding thread, which must not be ahead of the progress.
                 progress.send_modify(|progress| progress.journaled = written.number);
                 index.insert(&meta, written);
             }
@@ -108,7 +108,7 @@ impl EmbeddedStore {
     fn control(&self, action: Action) -> Result<u64, Error> {
         let at_us = self.shared.clock.now_us();
         let (meta, payload) = entry::control(day_of(at_us), Control { at_us, action });
-        // Settled segments end where the settlement begins.
+        // Compacted segments end where the compaction begins.
         let fresh = matches!(action, Action::Compact(_));
         let written = self.append(meta, fresh, payload)?;
         tracing::info!(number = written.number, ?action, "a control was written");
@@ -243,7 +243,9 @@ impl Operations for EmbeddedStore {
         let contributor = self.shared.dir.contributor(pseudonym);
         let compacted = self.shared.index.compacted();
         if !self.shared.index.any_after(compacted, RecordKind::Upload { contributor }) {
-            return Err(Error::Unknown("this contributor has told nothing that is not settled".to_owned()));
+            return Err(Error::Unknown(
+                "this contributor has uploaded nothing that is not compacted".to_owned(),
+            ));
         }
         self.control(Action::RevokeContributor(contributor))
     }
@@ -254,7 +256,7 @@ impl Operations for EmbeddedStore {
         let an_upload = index.find(id).is_some_and(|written| written.number > compacted);
         if !an_upload && !index.any_after(compacted, RecordKind::Import { file: id }) {
             return Err(Error::Unknown(format!(
-                "no upload or imported file {id} that is not settled is known"
+                "no upload or imported file {id} that is not compacted is known"
             )));
         }
         self.control(Action::RevokeUpload(id))
@@ -312,8 +314,8 @@ impl EmbeddedStore {
         if (oldest..=newest).contains(&epoch) {
             return Ok(());
         }
-        let told = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
-        Err(Error::Unknown(told))
+        let reason = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
+        Err(Error::Unknown(reason))
     }
 }
 

@@ -10,7 +10,7 @@
 //! | 1 revoke contributor | hash (8 bytes, LE), varint time |
 //! | 2 revoke upload | id (16 bytes), varint time |
 //! | 3 roll back | varint epoch, varint time |
-//! | 4 settle | varint last record settled, varint time |
+//! | 4 compact | varint last record compacted, varint time |
 //! | 5 import | id of the file (16 bytes), EPSG code, x, y, the encoded tile |
 //!
 //! Times are microseconds since the Unix epoch.
@@ -29,7 +29,7 @@ const ROLLBACK: u8 = 3;
 const COMPACT: u8 = 4;
 const IMPORT: u8 = 5;
 
-/// What the index keeps of a record.
+/// What the index needs of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct RecordMeta {
     /// UTC day the record was written on, counted from the Unix epoch.
@@ -40,15 +40,15 @@ pub(super) struct RecordMeta {
 /// What a record is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum RecordSubject {
-    /// A vehicle told something.
+    /// A vehicle's upload.
     Upload { id: Uuid, contributor: u64 },
     /// A tile of another map's file.
     Import { file: Uuid, tile: TileId },
-    /// An operator decided.
+    /// An operator's decision.
     Control(Control),
 }
 
-/// What of a [`RecordSubject`] is kept for every record.
+/// The kind of a record, and by what it may be excluded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RecordKind {
     Upload { contributor: u64 },
@@ -73,7 +73,7 @@ pub(super) enum Action {
     RevokeUpload(Uuid),
     /// No earlier upload or import after this epoch counts.
     Rollback(u64),
-    /// The records up to this one are in the base, whatever is decided later.
+    /// The records up to this one are in the checkpoint, whatever is decided later.
     Compact(u64),
 }
 
@@ -150,7 +150,7 @@ pub(super) fn meta(bytes: &[u8]) -> Option<RecordMeta> {
     Some(RecordMeta { day, what })
 }
 
-/// The answer an upload's record keeps; `None` when it is no upload.
+/// The answer in an upload's record; `None` when it is no upload.
 pub(super) fn answer(bytes: &[u8]) -> Option<Vec<u8>> {
     let (_, kind, rest) = open(bytes)?;
     let head = (kind == UPLOAD).then(|| record::decode_head(rest.rest))?;

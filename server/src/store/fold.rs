@@ -13,11 +13,11 @@ use super::vetting::{QuarantinedRecord, Vetting, VettingOutcome};
 use super::write_buffer::{Folded, InMemory, Source, WriteBuffer};
 use super::{Error, UploadRecord};
 
-/// A map that keeps what was folded.
+/// A map that is written to.
 pub(super) trait Sink: Source {
-    /// Keeps changed tiles, and notes of the uploads that were kept out of them; the map goes up to the record
+    /// Writes changed tiles, and the uploads that were quarantined; the map goes up to the record
     /// `folded` with them.
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
         quarantined: &[QuarantinedRecord],
@@ -26,7 +26,7 @@ pub(super) trait Sink: Source {
 }
 
 impl Sink for InMemory {
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
         _: &[QuarantinedRecord],
@@ -38,7 +38,7 @@ impl Sink for InMemory {
 }
 
 impl Sink for &Generation {
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
         quarantined: &[QuarantinedRecord],
@@ -109,7 +109,7 @@ pub(super) fn fold_group(
             }
         }
         let changed: Vec<_> = buffer.into_changed().collect();
-        sink.keep(changed.into_iter(), &quarantined, up_to)?;
+        sink.write(changed.into_iter(), &quarantined, up_to)?;
         if left.as_slice().is_empty() {
             return Ok(());
         }

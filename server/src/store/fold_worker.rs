@@ -30,7 +30,7 @@ pub(super) struct FoldWorker {
 /// Folds until the end is called.
 pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
     let whole = shared.index.newest();
-    let mut told = Instant::now();
+    let mut logged = Instant::now();
     let mut vetting = Vetting::new(shared.policy.vetting);
     loop {
         let outcome = folder.step(shared, &mut vetting);
@@ -50,9 +50,9 @@ pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
                 folder.look_again(shared);
             }
         }
-        if folder.folded < whole && told.elapsed() > Duration::from_secs(1) {
+        if folder.folded < whole && logged.elapsed() > Duration::from_secs(1) {
             tracing::info!(folded = folder.folded, journaled = whole, "folding the journal into tiles");
-            told = Instant::now();
+            logged = Instant::now();
         }
     }
 }
@@ -83,7 +83,7 @@ impl FoldWorker {
         Ok(true)
     }
 
-    /// After a failure nobody knows what sled kept.
+    /// After a failure nobody knows what sled holds.
     fn look_again(&mut self, shared: &StoreContext) {
         let Some(on) = &self.on else { return };
         match on.look_again() {

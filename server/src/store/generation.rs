@@ -104,11 +104,12 @@ impl Generation {
         ))
     }
 
-    /// Fills an empty generation from a base.
+    /// Fills an empty generation from a checkpoint.
     pub(super) fn load(&self, checkpoint: &Checkpoint) -> Result<(), Error> {
         let mut batch = Vec::with_capacity(BATCH);
         checkpoint.visit(|id, version, encoded| {
-            let damaged = |error| Error::Damaged { what: format!("tile {id} of the base"), reason: error };
+            let damaged =
+                |error| Error::Damaged { what: format!("tile {id} of the checkpoint"), reason: error };
             let tile = tile::decode(&encoded).map_err(|error| damaged(error.to_string()))?;
             batch.push((id, Folded { version, tile, ..Folded::default() }));
             if batch.len() == BATCH { self.put(batch.drain(..), &[], checkpoint.last) } else { Ok(()) }
@@ -116,7 +117,7 @@ impl Generation {
         self.put(batch.drain(..), &[], checkpoint.last)
     }
 
-    /// Puts changed tiles in place, and notes of uploads that were kept out of them; the generation goes up to
+    /// Puts changed tiles in place, and the uploads that were quarantined; the generation goes up to
     /// the record `folded` with them.
     pub(super) fn put(
         &self,

@@ -61,13 +61,13 @@ pub enum EventKind {
 /// What an operator may decide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decision {
-    /// To take back what a contributor told. Its name is not kept, and its hash stays in the store.
+    /// To take back a contributor's uploads. Its name is not stored, and its hash stays in the store.
     RevokeContributor,
     /// To take back an upload or an imported file.
     RevokeUpload(Uuid),
     /// To take back all after this epoch.
     Rollback(u64),
-    /// To make final all up to this record.
+    /// To compact all up to this record.
     Compact(u64),
 }
 
@@ -124,7 +124,7 @@ impl EmbeddedStore {
         let mut map = InMemory::new();
         checkpoint.visit(|id, version, encoded| {
             let damaged = |error: tile::DecodeError| Error::Damaged {
-                what: format!("tile {id} of the base"),
+                what: format!("tile {id} of the checkpoint"),
                 reason: error.to_string(),
             };
             map.insert(

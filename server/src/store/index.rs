@@ -1,7 +1,7 @@
 //! Which records the journal holds, where they lie, and what of them counts.
 //!
 //! It stays in memory for as long as the records stay in the journal, since a vehicle may send an upload again: 16
-//! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment share is kept
+//! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment have in common is stored
 //! once for all of them.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -208,8 +208,8 @@ impl JournalIndex {
         self.lock().controls.iter().map(|(number, control)| (*number, *control)).collect()
     }
 
-    /// Controls that settle more than the ones before them and the base did: their numbers and the
-    /// last record each of them settles.
+    /// Controls that compact more than the ones before them and the checkpoint did: their numbers and the
+    /// last record each of them compacts.
     pub(super) fn compactions_beyond(&self, mut checkpoint: u64) -> Vec<(u64, u64)> {
         let mut compactions = Vec::new();
         for (number, control) in self.controls() {
@@ -223,7 +223,7 @@ impl JournalIndex {
         compactions
     }
 
-    /// The last record that is settled or about to be; 0 for none.
+    /// The last record that is compacted or about to be; 0 for none.
     pub(super) fn compacted(&self) -> u64 {
         self.compactions_beyond(0).last().map_or(0, |(_, last)| *last)
     }
@@ -299,7 +299,7 @@ impl JournalIndex {
         }
     }
 
-    /// Forgets the records up to this one: they are in the base, and their segments go.
+    /// Forgets the records up to this one: they are in the checkpoint, and their segments go.
     pub(super) fn truncate(&self, last: u64) {
         let mut state = self.lock();
         let gone = last.saturating_sub(state.before).min(state.records.len() as u64);

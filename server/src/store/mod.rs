@@ -1,20 +1,20 @@
 //! The map and the journal it is folded from.
 //!
 //! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
-//! from the journal in its order, and can be folded again from nothing. The embedded default keeps
+//! from the journal in its order, and can be folded again from nothing. The embedded default has
 //! the journal in checksummed segment files and the tiles in sled.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
 //!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `checkpoint` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
+//!   `exclusion` (which of them count), `checkpoint` (what stands for compacted records), `key`, `pieces` and `tiles` (sled),
 //!   `generation` and `catalog`, `buffer` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
 //!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
 //!
-//! Every state of the map is a function of the base and the journal's records up to the epoch, without what
-//! the controls among them exclude. Generations of tiles are that function's values, kept.
+//! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
+//! the controls among them exclude. Generations of tiles are that function's values, stored.
 
 mod attempt;
 mod backup;
@@ -117,17 +117,17 @@ pub enum Error {
     Stopped(String),
 }
 
-/// An upload as the journal keeps it.
+/// An upload as a record of the journal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UploadRecord {
-    /// Named by the contributor; counts once.
+    /// Chosen by the contributor; an upload counts once by it.
     pub id: Uuid,
     /// Who and when.
     pub pass: Pass,
     /// Uploads of days before this one are no longer taken, so the votes of their passes may be
-    /// forgotten; 0 forgets none. Kept with the upload, so that folding it again gives the same.
+    /// forgotten; 0 forgets none. It is in the record, so that folding it again gives the same.
     pub forget_before: u16,
-    /// What it tells the map. Near a zone border it holds the tiles of both zones.
+    /// Its evidence delta. Near a zone border it holds the tiles of both zones.
     pub contribution: Contribution,
     /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
     pub answer: Vec<u8>,
@@ -192,7 +192,7 @@ pub struct Totals {
     pub cells: u64,
     /// Bytes of encoded tiles.
     pub bytes: u64,
-    /// Uploads counted since the journal began, settled and revoked ones too.
+    /// Uploads counted since the journal began, compacted and revoked ones too.
     pub uploads: u64,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
@@ -246,11 +246,11 @@ pub trait MapStore: Send + Sync {
     /// Keyed hash of a contributor's pseudonym; the key never leaves the store.
     fn contributor(&self, pseudonym: &str) -> u64;
 
-    /// Tells this history of the map from others that may give its versions to other tiles: drawn anew where a
+    /// Distinguishes this history of the map from others that may give its versions to other tiles: drawn anew where a
     /// backup is restored, and where the manifest was deleted for the map to go on in another way.
     fn lineage(&self) -> u64;
 
-    /// A version as callers are told it: equal ones stand for equal evidence, of whichever lineage they are.
+    /// The wire version: equal ones stand for equal evidence, of whichever lineage they are.
     fn wire_version(&self, version: u64) -> u64 {
         self.lineage().wrapping_add(version)
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{Clock, Policy};
 
-/// Where and how an [`super::EmbeddedStore`] keeps its data.
+/// Where and how an [`super::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The data directory; made if missing.

@@ -1,7 +1,7 @@
 //! Which evidence counts, and what of it is published.
 //!
-//! - `encoding`: the bytes that tell policies apart, under tags that never change.
-//! - `legacy`: how they were told apart before there were tags.
+//! - `encoding`: the bytes by which policies are distinguished, under tags that never change.
+//! - `legacy`: how they were distinguished before there were tags.
 
 mod encoding;
 mod legacy;
@@ -13,7 +13,7 @@ use echofix_core::vetting::Limits;
 use siphasher::sip::SipHasher24;
 
 /// Raised by whoever changes what folding makes of the same journal under the same policy, be it by a byte of the weights
-/// that uploads are compared with: maps are then folded anew, under a new lineage. A test in `tests/folding.rs` tells when.
+/// that uploads are compared with: maps are then folded anew, under a new lineage. A test in `tests/folding.rs` fails then.
 pub(super) const FOLDING: u32 = 1;
 
 /// Which evidence counts, and what of it is published.
@@ -35,7 +35,7 @@ impl Policy {
         Self { publish_contributors: 1, decay: None, vetting: None }
     }
 
-    /// Tells policies and ways to fold apart: a generation of tiles made under another digest is not used. It is kept in
+    /// Distinguishes policies and ways to fold: a generation of tiles made under another digest is not used. It is stored in
     /// the manifest, so it rests on tags and bits only, see [`encoding`].
     pub(super) fn digest(&self) -> u64 {
         siphash(encoding::encode(self, FOLDING).as_bytes())

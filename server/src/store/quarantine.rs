@@ -1,4 +1,4 @@
-//! Notes of uploads that were kept out of the map, beside the tiles.
+//! The quarantine: uploads that vetting kept out of the map, stored beside the tiles.
 //!
 //! ```text
 //! key    "quarantined" | number of the record (8), big-endian

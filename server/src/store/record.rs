@@ -7,8 +7,8 @@
 //! The head holds LEB128 varints: day, forget-before day, the answer (length, bytes). The contribution is
 //! [`echofix_core::evidence::codec`]'s.
 //! A contributor is in here as a keyed hash only, and no column says when within the day, or on
-//! which way, anything was seen. The upload's id and the answer are kept as they were sent: an id
-//! with a timestamp, such as a UUID of version 7, tells when it was made. A vehicle that does not want
+//! which way, anything was seen. The upload's id and the answer are stored as they were sent: an id
+//! with a timestamp, such as a UUID of version 7, says when it was made. A vehicle that does not want
 //! that known uses ids without one.
 
 use echofix_core::evidence::{Contribution, Pass, codec};
@@ -96,7 +96,7 @@ mod tests {
             let at = at.index(bytes.len());
             prop_assert_eq!(decode(&bytes[..at]), None);
             bytes[at] ^= flip;
-            // The journal's checksum tells; here it must only not panic or allocate without bound.
+            // The journal's checksum catches it; here it must only not panic or allocate without bound.
             let _ = decode(&bytes);
         }
     }

@@ -74,9 +74,9 @@ impl EmbeddedStore {
     }
 
     pub(super) fn import_region(&self, file: &mut dyn Read) -> Result<Imported, Error> {
-        let kept = ReceivedFile::of(self.shared.dir.root(), file)?;
+        let received = ReceivedFile::of(self.shared.dir.root(), file)?;
         // All of it is checked before any of it counts.
-        let header = read(&kept.0, |_, _, _| Ok(()))?;
+        let header = read(&received.0, |_, _, _| Ok(()))?;
         let _deciding = self.shared.decide();
         let (mut group, mut known) = (Vec::with_capacity(GROUP), 0);
         let mut epoch = self.shared.index.newest();
@@ -86,7 +86,7 @@ impl EmbeddedStore {
             epoch = written.last().map_or(epoch, |written| written.number);
             Ok::<_, Error>(())
         };
-        read(&kept.0, |file, id, encoded| {
+        read(&received.0, |file, id, encoded| {
             if self.shared.index.imported(file, id) {
                 known += 1;
                 return Ok(());
@@ -104,14 +104,14 @@ struct ReceivedFile(PathBuf);
 
 impl ReceivedFile {
     fn of(root: &Path, file: &mut dyn Read) -> Result<Self, Error> {
-        let kept = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
-        let mut keep = || {
-            let mut out = BufWriter::new(File::create(&kept.0)?);
+        let received = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
+        let mut receive = || {
+            let mut out = BufWriter::new(File::create(&received.0)?);
             io::copy(file, &mut out)?;
             out.flush()
         };
-        keep().map_err(io_error("receiving a region"))?;
-        Ok(kept)
+        receive().map_err(io_error("receiving a region"))?;
+        Ok(received)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Checksummed streams of tiles: what a base and a region's file are made of.
+//! Checksummed streams of tiles: what a checkpoint and a region's file are made of.
 //!
 //! ```text
 //! tile     EPSG code (4) | x (4) | y (4) | version (8) | length (4) | encoded tile
@@ -89,8 +89,8 @@ impl<R: Read> ChecksummedReader<R> {
     /// Checks the trailer, and that nothing follows.
     pub(super) fn end(mut self) -> io::Result<()> {
         let sum = self.sum;
-        let told = u32::from_le_bytes(self.array()?);
-        if sum != told {
+        let expected = u32::from_le_bytes(self.array()?);
+        if sum != expected {
             return Err(bad("its checksum does not match"));
         }
         match self.inner.read(&mut [0])? {

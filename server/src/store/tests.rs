@@ -217,7 +217,7 @@ fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
 }
 
 #[test]
-fn acknowledged_uploads_missing_from_the_journal_are_told() {
+fn acknowledged_uploads_missing_from_the_journal_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let uploads = some_uploads(3);
@@ -254,7 +254,7 @@ fn a_journal_without_its_key_is_not_opened() {
 }
 
 #[test]
-fn a_journal_that_stopped_and_folding_that_fails_are_told() {
+fn a_journal_that_stopped_and_folding_that_fails_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     std::fs::rename(dir.path().join("journal"), dir.path().join("gone")).unwrap();

@@ -1,6 +1,6 @@
 //! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
 //! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
-//! kept from another time, are noticed by it; then all are folded again.
+//! has from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
 //! key    see [`super::key`]
@@ -29,7 +29,7 @@ use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.
 const JOURNAL: &[u8] = b"journal";
-/// Where it is kept how far the tiles go.
+/// Where it says how far the tiles are folded.
 const STATE: &[u8] = b"state";
 /// Bytes of a value between its checksum and the tile.
 const HEAD: usize = 18;
@@ -105,7 +105,7 @@ impl TileStore {
         Ok(Some((value.info.version, value.tile.to_vec())))
     }
 
-    /// Puts tiles, what was kept out of them, and how far they go with them, all or none.
+    /// Puts tiles, the uploads that were quarantined, and how far the tiles go, all or none.
     pub(super) fn put_all(
         &self,
         values: Vec<TileValue>,
@@ -128,7 +128,7 @@ impl TileStore {
         Ok(())
     }
 
-    /// The uploads that were kept out, oldest first.
+    /// The quarantined uploads, oldest first.
     pub(super) fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         let damaged = || Error::Damaged {
             what: "a note of a quarantined upload".to_owned(),
@@ -336,13 +336,13 @@ mod tests {
         let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
         tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        let (at, kept) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
+        let (at, piece) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
         tiles.tree.remove(&at).unwrap();
         assert!(tiles.check().is_err());
-        tiles.tree.insert(&at, kept).unwrap();
+        tiles.tree.insert(&at, piece).unwrap();
         assert!(tiles.check().is_ok());
         tiles.tree.insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
-        assert!(tiles.check().is_err(), "a tile as it was kept before there were pieces");
+        assert!(tiles.check().is_err(), "a tile as it was stored before there were pieces");
         tiles.tree.remove(key(id(1))).unwrap();
         tiles.tree.insert(&at, value(1, 2, 1).bytes).unwrap();
         assert!(tiles.check().is_err());

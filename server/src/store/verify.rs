@@ -14,7 +14,7 @@ use super::{Error, MapProgress, entry};
 pub struct Verified {
     /// Records of the journal that were read.
     pub records: u64,
-    /// Tiles of the base that were read.
+    /// Tiles of the checkpoint that were read.
     pub checkpoint_tiles: u64,
     /// Tiles that were read.
     pub tiles: u64,
@@ -59,7 +59,7 @@ impl EmbeddedStore {
         let outcome = self.shared.checkpoint().visit(|id, _, encoded| {
             tiles += 1;
             let damaged = |error: tile::DecodeError| Error::Damaged {
-                what: format!("tile {id} of the base"),
+                what: format!("tile {id} of the checkpoint"),
                 reason: error.to_string(),
             };
             tile::decode(&encoded).map(|_| ()).map_err(damaged)

@@ -1,4 +1,4 @@
-//! An upload is held against the map that exists before it is folded.
+//! Vetting: an upload is compared with the map before it is folded.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
@@ -14,11 +14,11 @@ use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Vetted, Vetter, mo
 use super::write_buffer::{Folded, WriteBuffer};
 use super::{Error, UploadRecord};
 
-/// Prepared tiles that are kept for the next upload, which likely comes from near by: a quarter of a
+/// Prepared tiles that are cached for the next upload, which likely comes from near by: a quarter of a
 /// megabyte each.
 const PREPARED: usize = 256;
 
-/// An upload that was kept out of the map.
+/// An upload that vetting kept out of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuarantinedRecord {
     /// Number of its record.
@@ -31,13 +31,13 @@ pub struct QuarantinedRecord {
 
 /// What becomes of an upload.
 pub(super) enum VettingOutcome {
-    /// It counts: its shares, moved onto the map, each with what moved it at its tile's centre.
+    /// It counts: its tile evidence, moved onto the map, each with what moved it at its tile's centre.
     Counts(Vec<(TileId, Share, Offset)>),
     /// It does not.
     Quarantined(QuarantinedRecord),
 }
 
-/// What vetting keeps between uploads.
+/// Buffers and prepared tiles that pass from one upload to the next.
 pub(super) struct Vetting {
     /// Without limits nothing is vetted.
     limits: Option<Limits>,
@@ -50,7 +50,7 @@ impl Vetting {
         Self { limits, vetter: Vetter::default(), prepared: HashMap::new() }
     }
 
-    /// Holds an upload against what others told of its place.
+    /// Compares an upload with what others contributed where it lies.
     pub(super) fn vet(
         &mut self,
         buffer: &mut WriteBuffer<'_>,
@@ -108,7 +108,7 @@ fn middle(shares: &[(TileId, &Share)]) -> [f64; 2] {
     [weighted(0), weighted(1)]
 }
 
-/// The map without what only the upload's own contributor told.
+/// The map without what only the upload's own contributor contributed.
 struct OthersMap<'a, 'b> {
     contributor: u64,
     within: RefCell<OthersMapState<'a, 'b>>,

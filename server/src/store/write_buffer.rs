@@ -38,7 +38,7 @@ pub(super) struct WriteBuffer<'a> {
     /// Tiles from which on they are written before more is folded.
     capacity: usize,
     tiles: BTreeMap<TileId, Touched>,
-    /// What is seen where there is no tile. It is not kept for each of them: uploads may ask for any number.
+    /// What is seen where there is no tile. It is not stored for each of them: uploads may ask for any number.
     nothing: Folded,
 }
 
@@ -52,7 +52,7 @@ impl<'a> WriteBuffer<'a> {
         Self { source, capacity, tiles: BTreeMap::new(), nothing: Folded::default() }
     }
 
-    /// Is it time to keep what is on it?
+    /// Is it time to write what is in it?
     pub(super) fn is_full(&self) -> bool {
         self.tiles.len() >= self.capacity
     }

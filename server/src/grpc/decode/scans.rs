@@ -17,7 +17,7 @@ pub struct ScanColumns {
 
 impl ScanColumns {
     /// Each scan with its own rows of the detection columns, in the order they came. Those without
-    /// any tell nothing and are left out.
+    /// any are left out.
     pub fn iter(&self) -> impl Iterator<Item = ScanView<'_>> + Clone {
         let ends = self.detection_count.iter().scan(0, |end, count| {
             *end += *count as usize;

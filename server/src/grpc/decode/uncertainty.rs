@@ -59,13 +59,13 @@ mod tests {
 
     #[test]
     fn what_is_no_uncertainty_is_refused() {
-        let told = |covariance: Vec<f64>| {
+        let refusal = |covariance: Vec<f64>| {
             let prior = Prior { covariance, sigma_position_m: 2.0, sigma_yaw_rad: 0.1, ..Prior::default() };
             uncertainty(&prior).unwrap_err().to_string()
         };
-        assert!(told(vec![1.0]).contains("six values"));
-        assert!(told(vec![1.0, 2.0, 0.0, 1.0, 0.0, 0.01]).contains("positive definite"));
-        assert!(told(vec![f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.01]).contains("finite"));
+        assert!(refusal(vec![1.0]).contains("six values"));
+        assert!(refusal(vec![1.0, 2.0, 0.0, 1.0, 0.0, 0.01]).contains("positive definite"));
+        assert!(refusal(vec![f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.01]).contains("finite"));
         let none = Prior::default();
         assert!(uncertainty(&none).unwrap_err().to_string().contains("sigma_position_m"));
     }

@@ -25,8 +25,8 @@ pub(super) fn tiles(store: &dyn MapStore, area: &GeodeticBox) -> Result<Vec<Tile
             let infos = store.catalog(zone, x, y).map_err(|error| status::store(&error))?;
             found.extend(infos.into_iter().filter(|info| touches(&grid, info.id, &part)));
             if found.len() > MAX_AREA {
-                let told = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
-                return Err(status::invalid(&InvalidField::new("area", told)));
+                let rule = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
+                return Err(status::invalid(&InvalidField::new("area", rule)));
             }
         }
     }

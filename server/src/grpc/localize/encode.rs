@@ -131,7 +131,7 @@ fn judged(answer: &LocateAnswer, alert_limit_m: f64) -> (FixStatus, String) {
 
 /// A verdict in the contract's words.
 fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
-    let percent = |share: f64| share * 100.0;
+    let percent = |fraction: f64| fraction * 100.0;
     match alignment.verdict {
         Verdict::Usable => (
             FixStatus::Usable,

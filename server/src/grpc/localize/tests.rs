@@ -1,4 +1,4 @@
-//! An answer asked again of the exhaustive engine: what agrees and what does not is counted.
+//! The sampled check: what agrees with the exact engine and what does not is counted.
 
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, Grid, LatLon, TileId};
@@ -19,7 +19,7 @@ fn posts() -> Vec<[f64; 2]> {
     (0..900).map(|_| [normal(&mut rng, 15.0), normal(&mut rng, 15.0)]).collect()
 }
 
-/// A map of the posts around a place.
+/// A map of the posts around a position.
 fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
     let mut tiles = std::collections::BTreeMap::<TileId, std::collections::BTreeMap<u32, Cell>>::new();
     for [dx, dy] in posts() {
@@ -84,7 +84,7 @@ async fn confirmed(change: fn(&mut LocateAnswer)) -> [u64; 2] {
 /// Catches counters that are swapped or not counted, and a comparison with something else than what the
 /// engines found.
 #[tokio::test]
-async fn an_answer_that_the_exhaustive_engine_finds_too_is_counted_as_agreed() {
+async fn an_answer_that_the_exact_engine_finds_too_is_counted_as_agreed() {
     assert_eq!(confirmed(|_| ()).await, [1, 0]);
     // What was made of it afterwards is not what the engines are compared by.
     assert_eq!(confirmed(|answer| answer.alignment.correction = Pose2::IDENTITY).await, [1, 0]);
@@ -97,9 +97,9 @@ async fn an_answer_on_another_hill_is_counted_as_a_disagreement() {
     assert_eq!(confirmed(|answer| answer.found.y_m -= 0.3).await, [0, 1]);
 }
 
-/// Catches a share that comes in bursts, or of everything or nothing.
+/// Catches a fraction that comes in bursts, or of everything or nothing.
 #[tokio::test]
-async fn the_share_to_be_confirmed_is_evenly_spread() {
+async fn the_answers_to_be_checked_are_evenly_spread() {
     let (inner, _) = asked();
     let config = LocatingConfig { confirm_share: 0.25, ..*inner.locator.config() };
     let locator = Arc::new(Locator::new(Arc::new(FakeStore::default()), config));

@@ -84,8 +84,8 @@ impl<'a> UploadReceiver<'a> {
         require((1..=64).contains(&length), "header.contributor", "must have 1 to 64 characters")?;
         decode::reference_time(header.reference_time_us, "header.reference_time_us")?;
         let tomorrow = now_us() / DAY_US + 1;
-        let told = "lies in the future; check the vehicle's clock";
-        require(header.reference_time_us / DAY_US <= tomorrow, "header.reference_time_us", told)?;
+        let rule = "lies in the future; check the vehicle's clock";
+        require(header.reference_time_us / DAY_US <= tomorrow, "header.reference_time_us", rule)?;
         let mounts = match &header.mounts[..] {
             [] => Vec::new(),
             mounts => decode::mounts(mounts, "header.mounts")?,
@@ -104,7 +104,7 @@ impl<'a> UploadReceiver<'a> {
 
     fn scans(&mut self, chunk: UploadChunk) -> Result<(), InvalidField> {
         require(self.evidence.is_empty(), "chunk", "comes after evidence; send chunks of one kind")?;
-        require(!self.mounts.is_empty(), "header.mounts", "is empty; send the place of every radar")?;
+        require(!self.mounts.is_empty(), "header.mounts", "is empty; send the mount of every radar")?;
         self.size.add(&chunk);
         self.size.check(self.config)?;
         let scans = required(chunk.scans, "chunk.scans")?;
@@ -173,8 +173,8 @@ impl UploadSize {
 fn same_day(offsets_us: &[i64], field: &str) -> Result<(), InvalidField> {
     match offsets_us.iter().position(|offset| !(-DAY_US..=DAY_US).contains(offset)) {
         Some(row) => {
-            let told = "lies more than 24 h from the upload's reference time; split the upload";
-            Err(InvalidField::new(format!("{field}[{row}]"), told))
+            let rule = "lies more than 24 h from the upload's reference time; split the upload";
+            Err(InvalidField::new(format!("{field}[{row}]"), rule))
         }
         None => Ok(()),
     }

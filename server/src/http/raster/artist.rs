@@ -72,7 +72,7 @@ impl Artist {
         if is_known(&tag) {
             return Ok(Picture { tag, png: None });
         }
-        if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(kept, _)| *kept == tag) {
+        if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(cached, _)| *cached == tag) {
             return Ok(Picture { tag, png: Some(png) });
         }
         let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
@@ -88,24 +88,24 @@ impl Artist {
     pub fn overview(&self) -> Result<Arc<Overview>, Error> {
         let epoch = self.store.progress().borrow().epoch;
         // Held while it is made: a crowd waits for one instead of making many.
-        let mut kept = lock(&self.overview);
-        if let Some((made, overview)) = &*kept
+        let mut cached = lock(&self.overview);
+        if let Some((made, overview)) = &*cached
             && (overview.epoch == epoch || made.elapsed() < OVERVIEW_EVERY)
         {
             return Ok(Arc::clone(overview));
         }
         let overview = Arc::new(Overview::of(&*self.store)?);
-        *kept = Some((Instant::now(), Arc::clone(&overview)));
+        *cached = Some((Instant::now(), Arc::clone(&overview)));
         Ok(overview)
     }
 
-    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or place by place,
+    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or spot by spot,
     /// where it is shown what can be expected of fixes.
     fn fetch(&self, layer: Layer, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
         if layer == Layer::Localizability {
             if let Some(expected) = self.expectations.tile(tile.id)? {
-                let spot = |place| Spot::of_expected(place, self.expectations.verdict(place));
-                let found = expected.spots().map(|(x, y, place)| (x as u32, y as u32, spot(place)));
+                let spot = |expected| Spot::of_expected(expected, self.expectations.verdict(expected));
+                let found = expected.spots().map(|(x, y, expected)| (x as u32, y as u32, spot(expected)));
                 plane.add(tile.id, SPOT_SHIFT, found);
             }
         } else if plane.shift() >= summary::SHIFT {
@@ -119,8 +119,8 @@ impl Artist {
     }
 
     fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<TileSummary>>, Error> {
-        let kept = self.summaries.get(&tile.id);
-        if let Some((version, summary)) = kept
+        let cached = self.summaries.get(&tile.id);
+        if let Some((version, summary)) = cached
             && version >= tile.version
         {
             return Ok(Some(summary));

@@ -68,7 +68,7 @@ pub(super) struct RecoveredJournal {
 }
 
 impl RecoveredJournal {
-    /// The journal's own name, to tell whether tiles were folded from it.
+    /// The journal's own name, by which tiles that were folded from it are recognised.
     pub(super) fn id(&self) -> Uuid {
         self.id
     }
@@ -94,7 +94,7 @@ impl Journal {
             let id = Uuid::now_v7();
             return Ok(RecoveredJournal { id, segment: LogSegment::create(dir, id, 1)?, next: 1 });
         };
-        // Older ones were settled: whether something covers them, the store knows.
+        // Older ones were compacted: whether something covers them, the store knows.
         let (mut id, mut next, mut length) = (None, firsts[0], 0);
         for first in firsts {
             let path = segment::path(dir, first);
@@ -135,7 +135,7 @@ impl Journal {
         Ok(false)
     }
 
-    /// Starts writing; `day` is the one the newest record was written on. `deliver` is told of every
+    /// Starts writing; `day` is the one the newest record was written on. `deliver` gets every
     /// record in order, once it is on disk and before its append returns.
     pub(super) fn start(
         dir: &Path,
@@ -199,7 +199,7 @@ impl Journal {
         let covered = firsts.iter().zip(firsts.iter().skip(1)).filter(|(_, next)| **next <= last + 1);
         for (first, _) in covered {
             fs::remove_file(segment::path(&self.dir, *first))
-                .map_err(io_error("deleting a settled segment"))?;
+                .map_err(io_error("deleting a compacted segment"))?;
         }
         File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
     }
@@ -236,7 +236,7 @@ impl Drop for Journal {
     fn drop(&mut self) {
         self.sender = None;
         if let Some(writer) = self.writer.take() {
-            // It logged its own end; there is nobody left to tell.
+            // It logged its own end.
             let _ = writer.join();
         }
     }

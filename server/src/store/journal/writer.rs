@@ -27,7 +27,7 @@ pub(super) struct Append {
     pub(super) done: SyncSender<Result<Written, Error>>,
 }
 
-/// Told of every record once it is on disk.
+/// Gets every record once it is on disk.
 type Deliver = Box<dyn FnMut(RecordMeta, Written) + Send>;
 
 pub(super) struct JournalWriter {
@@ -96,7 +96,7 @@ impl JournalWriter {
                 for (append, written) in group.into_iter().zip(written) {
                     self.day = Some(append.meta.day);
                     (self.deliver)(append.meta, written);
-                    // A caller that went away is told by its own retry.
+                    // A caller that went away learns it from its own retry.
                     let _ = append.done.send(Ok(written));
                 }
             }
@@ -182,7 +182,7 @@ mod tests {
     use super::*;
     use crate::store::entry::RecordSubject;
 
-    /// A disk that fails when told to.
+    /// A disk that fails on request.
     #[derive(Clone, Default)]
     struct Faulty(Arc<Mutex<Faults>>);
 

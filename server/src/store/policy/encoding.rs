@@ -1,4 +1,4 @@
-//! The bytes that tell policies apart.
+//! The bytes by which policies are distinguished.
 //!
 //! ASCII lines, each a tag, a blank and a value in lower-case hexadecimal: 8 digits of the way to fold, 16 of everything
 //! else. Integers stand for themselves, floating-point numbers for their IEEE 754 bits (binary64). The lines in order:

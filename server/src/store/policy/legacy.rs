@@ -1,4 +1,4 @@
-//! The text that told policies apart before there were tags: what `derive(Debug)` printed then. It is frozen, names and
+//! The text by which policies were distinguished before there were tags: what `derive(Debug)` printed then. It is frozen, names and
 //! all, and only read: a manifest of the third format that holds its digest names the policy in force.
 
 use echofix_core::tile::Decay;
@@ -10,7 +10,7 @@ use super::Policy;
 /// The text of a policy and a way to fold. Floating-point numbers are written as `{:?}` writes them, the shortest decimal
 /// that reads back as the same number.
 pub(super) fn text(policy: &Policy, folding: u32) -> String {
-    // A field that is added later was not told apart here: where it does not mean what was done before there was the
+    // A field that is added later is not in this text: where it does not mean what was done before there was the
     // field, the text must be one that no manifest holds.
     let Policy { publish_contributors, decay, vetting } = policy;
     let decay = option(decay.as_ref().map(decay_text));

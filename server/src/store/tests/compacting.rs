@@ -1,4 +1,4 @@
-//! Settling: the journal's head becomes the base.
+//! Compacting: the journal's head becomes the checkpoint.
 
 use super::super::build::BuildStep;
 use super::controls::{by_cars, bytes, copy, never_had};
@@ -45,7 +45,7 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
     let hashes = |range: std::ops::Range<usize>| {
         uploads[range].iter().filter(|u| holds(dir.path(), &u.pass.contributor.to_le_bytes())).count()
     };
-    assert_eq!(hashes(0..40), 40, "without settling they are there, or the test finds nothing");
+    assert_eq!(hashes(0..40), 40, "without compacting they are there, or the test finds nothing");
 
     assert_eq!(store.compact(100).unwrap(), None, "nothing is that old");
     assert_eq!(store.compact(102).unwrap(), Some(41));
@@ -64,7 +64,7 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
     drop(store);
     std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
     let store = open(dir.path());
-    assert_eq!(bytes(&store), never_had(&uploads), "base and journal make the map again");
+    assert_eq!(bytes(&store), never_had(&uploads), "checkpoint and journal make the map again");
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let mut uploads = by_cars(&store, some_uploads(30));
-    // Whoever comes again after a settlement is not recognised, and counts as one more contributor.
+    // Whoever comes again after a compaction is not recognised, and counts as one more contributor.
     uploads[10..].iter_mut().for_each(|upload| upload.pass.contributor ^= 1 << 63);
     commit_on(&store, 100, &uploads[..10]);
     let revoked = store.revoke_upload(uploads[2].id).unwrap();
@@ -90,7 +90,11 @@ fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
     };
     assert_eq!(bytes(&store), never_had(&left(&[2, 20])));
     store.rollback(revoked).unwrap();
-    assert_eq!(bytes(&store), never_had(&[&uploads[..2], &uploads[3..10]].concat()), "back to the base");
+    assert_eq!(
+        bytes(&store),
+        never_had(&[&uploads[..2], &uploads[3..10]].concat()),
+        "back to the checkpoint"
+    );
     assert!(compacted > revoked);
 }
 
@@ -143,13 +147,13 @@ fn a_journal_whose_base_is_gone_is_not_opened() {
     std::fs::remove_file(dir.path().join("base-5")).unwrap();
     match EmbeddedStore::open(&options(dir.path())) {
         Err(Error::Damaged { reason, .. }) => assert!(reason.contains("base-5"), "{reason}"),
-        _ => panic!("the missing base went unnoticed"),
+        _ => panic!("the missing checkpoint went unnoticed"),
     }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
-    // Breaks it: a base that keeps excluded uploads, or a start that folds settled records again.
+    // Breaks it: a checkpoint that keeps excluded uploads, or a start that folds compacted records again.
     #[test]
     fn settling_at_any_time_changes_no_map(
         days in prop::collection::vec((prop::collection::vec(uploads(), 1..5), 0..4_u8), 1..6),
@@ -158,7 +162,7 @@ proptest! {
         let mut store = open(dir.path());
         let mut left: Vec<UploadRecord> = Vec::new();
         for (day, (uploads, then)) in (200..).zip(days) {
-            // No contributor comes on both sides of a settlement: it would count on either.
+            // No contributor comes on both sides of a compaction: it would count on either.
             let mut uploads = distinct(uploads);
             for upload in &mut uploads {
                 upload.pass.day = day;

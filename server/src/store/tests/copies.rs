@@ -191,9 +191,9 @@ fn other_tools_read_a_backup() {
     let archive = dir.path().join("backup.tar");
     store.backup(&mut std::fs::File::create(&archive).unwrap()).unwrap();
     let listed = std::process::Command::new("tar").arg("tvf").arg(&archive).output().unwrap();
-    let told = String::from_utf8(listed.stdout).unwrap();
-    assert!(listed.status.success() && told.contains("key") && told.contains("journal/"), "{told}");
-    assert!(told.lines().all(|line| line.starts_with("-rw-------")), "{told}");
+    let listing = String::from_utf8(listed.stdout).unwrap();
+    assert!(listed.status.success() && listing.contains("key") && listing.contains("journal/"), "{listing}");
+    assert!(listing.lines().all(|line| line.starts_with("-rw-------")), "{listing}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What folding makes of a journal stays the same, or is told apart.
+//! What folding makes of a journal stays the same, or `FOLDING` is raised.
 
 use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
 use echofix_core::geo::{CellIndex, Zone};
@@ -51,6 +51,6 @@ fn the_same_journal_gives_the_same_map_from_build_to_build() {
         moved += tile.datum().shift_mm[0].abs();
         sum = crc32c::crc32c_append(sum, format!("{id} {tile:?}").as_bytes());
     }
-    assert!(moved > 0, "they were held against each other");
+    assert!(moved > 0, "they were compared with each other");
     assert_eq!((FOLDING, sum), (1, 0xb914_38e2), "{sum:#x}");
 }
