@@ -74,7 +74,7 @@ async fn http_get(address: std::net::SocketAddr, path: &str) -> String {
 }
 
 #[tokio::test]
-async fn a_taken_port_and_a_taken_directory_are_told() {
+async fn a_taken_port_and_a_taken_directory_are_reported() {
     let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let first = Server::bind(config(dir.path(), &[])).await.unwrap();
     let taken = first.grpc_addr().to_string();

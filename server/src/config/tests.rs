@@ -24,7 +24,7 @@ fn the_shipped_file_is_the_default_and_sets_every_key() {
 }
 
 #[test]
-fn uploads_may_be_kept_for_ever_or_longer_than_they_are_taken() {
+fn uploads_may_stay_for_ever_or_longer_than_they_are_taken() {
     for mapping in ["max_age_days = 30\nretention_days = 31", "max_age_days = 365\nretention_days = 0"] {
         assert!(load(Some(&format!("[mapping]\n{mapping}")), &[], &[]).is_ok(), "{mapping}");
     }

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_no_tile_is_told_apart_from_an_empty_one() {
+    async fn what_is_no_tile_is_distinguished_from_an_empty_one() {
         let site = TestSite::default();
         for (path, status) in [
             ("/api/v1/tiles/32614/1/2", 404),

@@ -89,7 +89,7 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     /// The map tile at a zoom that shows a cell of the Austin tile, and the pixel of its centre.
-    fn place(z: u8, cell: u32) -> (String, [usize; 2]) {
+    fn tile_and_pixel(z: u8, cell: u32) -> (String, [usize; 2]) {
         let id = austin();
         let [x0, y0] = id.origin();
         let centre =
@@ -109,7 +109,7 @@ mod tests {
         let cell = 300 * 512 + 200;
         let site = TestSite::with_tiles(&[(austin(), &[(cell, 5)])]);
         for z in 0..=22 {
-            let (path, [px, py]) = place(z, cell);
+            let (path, [px, py]) = tile_and_pixel(z, cell);
             for layer in ["evidence", "coverage", "age"] {
                 let pixels = pixels_of(site.get(&format!("/tiles/{layer}/{path}.png")).await).await;
                 assert!(pixels[py * 256 + px][3] > 0, "{layer} at zoom {z}");
@@ -124,7 +124,7 @@ mod tests {
     async fn a_cell_is_as_wide_as_its_ground_at_the_deepest_zoom() {
         let cell = 300 * 512 + 200;
         let site = TestSite::with_tiles(&[(austin(), &[(cell, 5)])]);
-        let (path, _) = place(22, cell);
+        let (path, _) = tile_and_pixel(22, cell);
         let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}.png")).await).await;
         let drawn = pixels.iter().filter(|p| p[3] > 0).count() as f64;
         // 0.1 m over 0.0373 m * cos(30.27 deg) of a pixel is 3.10 pixels.
@@ -134,7 +134,7 @@ mod tests {
     #[tokio::test]
     async fn dense_screens_get_twice_the_pixels() {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
-        let (path, [px, py]) = place(19, 7);
+        let (path, [px, py]) = tile_and_pixel(19, 7);
         let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}@2x.png")).await).await;
         assert_eq!(pixels.len(), 512 * 512);
         let around = |i: usize| (2 * i).saturating_sub(1)..=2 * i + 2;
@@ -145,7 +145,7 @@ mod tests {
     async fn an_unchanged_tile_is_not_sent_again() {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         for z in [3, 12, 19] {
-            let path = format!("/tiles/evidence/{}.png", place(z, 7).0);
+            let path = format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0);
             let first = site.get(&path).await;
             assert_eq!(
                 (first.status(), &first.headers()["cache-control"]),
@@ -169,7 +169,7 @@ mod tests {
     #[tokio::test]
     async fn a_restored_map_is_sent_again() {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
-        let path = format!("/tiles/evidence/{}.png", place(19, 7).0);
+        let path = format!("/tiles/evidence/{}.png", tile_and_pixel(19, 7).0);
         let tag = site.get(&path).await.headers()["etag"].to_str().unwrap().to_owned();
         site.store.lineage.fetch_add(1, Ordering::Relaxed);
         let restored = site.send(Method::GET, &path, &[("if-none-match", &tag)]).await;
@@ -181,11 +181,11 @@ mod tests {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         let reads = || site.store.reads.load(Ordering::Relaxed);
         for z in 0..14 {
-            pixels_of(site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await).await;
+            pixels_of(site.get(&format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0)).await).await;
         }
         assert_eq!(reads(), 0);
         for layer in ["evidence", "age", "evidence"] {
-            pixels_of(site.get(&format!("/tiles/{layer}/{}.png", place(15, 7).0)).await).await;
+            pixels_of(site.get(&format!("/tiles/{layer}/{}.png", tile_and_pixel(15, 7).0)).await).await;
         }
         assert_eq!(reads(), 1);
     }
@@ -194,9 +194,11 @@ mod tests {
     async fn what_is_expected_of_fixes_is_drawn_near_and_follows_the_neighbours() {
         let beside = TileId { x: austin().x + 1, ..austin() };
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)]), (beside, &[(9, 1)])]);
-        let far = pixels_of(site.get(&format!("/tiles/localizability/{}.png", place(15, 7).0)).await).await;
+        let far =
+            pixels_of(site.get(&format!("/tiles/localizability/{}.png", tile_and_pixel(15, 7).0)).await)
+                .await;
         assert!(far.iter().all(|p| p[3] == 0), "from far away it would take too long");
-        let (path, [px, py]) = place(18, 7);
+        let (path, [px, py]) = tile_and_pixel(18, 7);
         let path = format!("/tiles/localizability/{path}.png");
         let first = site.get(&path).await;
         let tag = first.headers()["etag"].to_str().unwrap().to_owned();
@@ -245,7 +247,7 @@ mod tests {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         site.store.rebuild();
         for z in [5, 12, 18] {
-            let response = site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await;
+            let response = site.get(&format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0)).await;
             assert_eq!(
                 (response.status().as_u16(), &response.headers()["retry-after"]),
                 (503, &"1".parse().unwrap())

@@ -105,6 +105,8 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/diff", get(operations::diff)),
         ("/api/v1/map/rollback", post(operations::rollback)),
         ("/api/v1/map/revoke", post(operations::revoke)),
+        ("/api/v1/map/compact", post(operations::compact)),
+        // Its former name, which older commands use.
         ("/api/v1/map/settle", post(operations::compact)),
         ("/api/v1/map/verify", get(operations::verify)),
         ("/api/v1/map/export", get(files::export)),

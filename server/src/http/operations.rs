@@ -208,7 +208,7 @@ pub struct CompactBody {
     before: String,
 }
 
-/// `POST /api/v1/map/settle`
+/// `POST /api/v1/map/compact`, formerly `/api/v1/map/settle`
 pub async fn compact(
     State(app): State<Arc<App>>,
     body: Result<Json<CompactBody>, JsonRejection>,
@@ -297,9 +297,12 @@ mod tests {
         assert_eq!(diff["tiles_changed"], diff["tiles"].as_array().unwrap().len());
         let sound = json_of(site.get("/api/v1/map/verify?replay=true").await).await;
         assert_eq!((&sound["sound"], &sound["records"]), (&json!(true), &json!(8)));
-        let settled =
-            json_of(site.post("/api/v1/map/settle", &json!({ "before": "2149-01-01" })).await).await;
-        assert_eq!(settled["epoch"], 9);
+        let compacted =
+            json_of(site.post("/api/v1/map/compact", &json!({ "before": "2149-01-01" })).await).await;
+        assert_eq!(compacted["epoch"], 9);
+        // Older commands know it by its former name.
+        let again = json_of(site.post("/api/v1/map/settle", &json!({ "before": "2149-01-01" })).await).await;
+        assert_eq!(again["epoch"], 10);
     }
 
     #[tokio::test]
@@ -312,7 +315,7 @@ mod tests {
             ("/api/v1/map/revoke", json!({ "contributor": "nobody" }), 404),
             ("/api/v1/map/revoke", json!({ "upload": "7" }), 400),
             ("/api/v1/map/revoke", json!({ "car": "7" }), 400),
-            ("/api/v1/map/settle", json!({ "before": "2026-02-30" }), 400),
+            ("/api/v1/map/compact", json!({ "before": "2026-02-30" }), 400),
         ] {
             let response = site.post(path, &body).await;
             assert_eq!(response.status(), status, "{path} {body}");
@@ -332,7 +335,7 @@ mod tests {
     async fn a_page_elsewhere_cannot_decide() {
         // A browser sends these without asking first; JSON it asks for.
         let site = StoredSite::with_uploads(2).await;
-        for path in ["rollback", "revoke", "settle", "import"] {
+        for path in ["rollback", "revoke", "compact", "settle", "import"] {
             let path = format!("/api/v1/map/{path}");
             let response = site.send(&path, "text/plain", br#"{"epoch": 1}"#.to_vec()).await;
             assert_eq!(response.status(), 400, "{path}");

@@ -241,7 +241,7 @@ impl Locator {
         answer: &LocateAnswer,
         admitted: &mut Admitted,
     ) -> Result<bool, LocateRefusal> {
-        let placed = self.place(question)?;
+        let placed = self.placed_prior(question)?;
         let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
             Task { frame: placed.frame, tiles: &found.tiles, batch: &question.batch, prior: &placed.prior };
@@ -279,7 +279,7 @@ impl Locator {
         aligner: &mut Aligner,
         queued: Duration,
     ) -> Result<LocateAnswer, LocateRefusal> {
-        let PlacedPrior { grid, prior, frame } = self.place(question)?;
+        let PlacedPrior { grid, prior, frame } = self.placed_prior(question)?;
         let fetching = Instant::now();
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
@@ -319,7 +319,7 @@ impl Locator {
     }
 
     /// The prior on its grid, and the square around it.
-    fn place(&self, question: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
+    fn placed_prior(&self, question: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
         let grid = Grid::of(question.at)?;
         let prior = Prior {
             pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,

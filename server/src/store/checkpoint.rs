@@ -146,7 +146,7 @@ mod tests {
     use echofix_core::geo::Zone;
 
     #[test]
-    fn the_newest_sound_base_of_the_journal_counts() {
+    fn the_newest_sound_checkpoint_of_the_journal_counts() {
         let dir = tempfile::tempdir().unwrap();
         let (ours, theirs) = (Uuid::from_u128(1), Uuid::from_u128(2));
         let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: -2, x };

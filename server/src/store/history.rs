@@ -243,7 +243,7 @@ mod tests {
     use echofix_core::evidence::Cell;
 
     #[test]
-    fn cells_are_told_apart() {
+    fn differing_cells_are_counted() {
         let cell = |hits| Cell { hits, ..Cell::default() };
         let tile = |cells: &[(u32, u32)]| {
             Tile::from_cells(cells.iter().map(|(index, hits)| (*index, cell(*hits))).collect()).unwrap()

@@ -156,7 +156,7 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
 
 /// Breaks it: ending the start with sled's refusal.
 #[test]
-fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
+fn tiles_that_an_older_version_stored_in_another_layout_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(20);
     folded_and_closed(dir.path(), &uploads);

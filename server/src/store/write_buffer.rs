@@ -103,7 +103,7 @@ mod tests {
 
     /// Catches: an upload of tiles far apart that takes a hundred times as much memory as it has tiles.
     #[test]
-    fn what_is_not_there_is_not_kept() {
+    fn what_is_not_there_takes_no_memory() {
         let source = InMemory::new();
         let mut buffer = WriteBuffer::new(&source, 1);
         let id = *some_uploads(1)[0].contribution.tiles.keys().next().unwrap();

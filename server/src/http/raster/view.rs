@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_tile_covers_a_known_place() {
+    fn a_known_tile_covers_a_known_position() {
         // A quarter of the square down lies gd(pi / 2) = 66.513 26 degrees north.
         let row = |lat_deg| over(LatLon { lat_deg, lon_deg: 90.1 }, 2, 256);
         assert_eq!(row(66.514), View { z: 2, x: 3, y: 0, side: 256 });

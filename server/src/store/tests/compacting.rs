@@ -34,7 +34,7 @@ fn segments(dir: &Path) -> usize {
 }
 
 #[test]
-fn settled_records_are_gone_and_the_map_is_as_before() {
+fn compacted_records_are_gone_and_the_map_is_as_before() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let uploads = distinct(some_uploads(40));
@@ -68,7 +68,7 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
 }
 
 #[test]
-fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
+fn compacted_uploads_cannot_be_taken_back_and_the_others_can() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let mut uploads = by_cars(&store, some_uploads(30));
@@ -99,7 +99,7 @@ fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
 }
 
 #[test]
-fn a_stop_at_any_step_of_settling_leaves_a_map_that_goes_on() {
+fn a_stop_at_any_step_of_compacting_leaves_a_map_that_goes_on() {
     let steps = [
         BuildStep::CheckpointFolded,
         BuildStep::CheckpointWritten,
@@ -136,7 +136,7 @@ fn a_stop_at_any_step_of_settling_leaves_a_map_that_goes_on() {
 }
 
 #[test]
-fn a_journal_whose_base_is_gone_is_not_opened() {
+fn a_journal_whose_checkpoint_is_gone_is_not_opened() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     commit_on(&store, 100, &some_uploads(5));
@@ -155,7 +155,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
     // Breaks it: a checkpoint that keeps excluded uploads, or a start that folds compacted records again.
     #[test]
-    fn settling_at_any_time_changes_no_map(
+    fn compacting_at_any_time_changes_no_map(
         days in prop::collection::vec((prop::collection::vec(uploads(), 1..5), 0..4_u8), 1..6),
     ) {
         let dir = tempfile::tempdir().unwrap();

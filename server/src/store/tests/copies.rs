@@ -184,19 +184,6 @@ fn mapping() -> crate::mapping::MappingConfig {
 }
 
 #[test]
-fn other_tools_read_a_backup() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path());
-    commit_all(&store, &some_uploads(3));
-    let archive = dir.path().join("backup.tar");
-    store.backup(&mut std::fs::File::create(&archive).unwrap()).unwrap();
-    let listed = std::process::Command::new("tar").arg("tvf").arg(&archive).output().unwrap();
-    let listing = String::from_utf8(listed.stdout).unwrap();
-    assert!(listed.status.success() && listing.contains("key") && listing.contains("journal/"), "{listing}");
-    assert!(listing.lines().all(|line| line.starts_with("-rw-------")), "{listing}");
-}
-
-#[test]
 fn a_sound_store_is_verified_and_damage_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
