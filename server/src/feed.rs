@@ -45,7 +45,7 @@ pub struct FixEvent {
 pub struct UploadEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
-    /// The upload's id.
+    /// The id that the contributor chose.
     pub upload_id: String,
     /// `COUNTED`, `DUPLICATE` or the reason of the refusal.
     pub outcome: String,
@@ -60,11 +60,11 @@ pub struct UploadEvent {
     pub epoch: u64,
 }
 
-/// The two feeds.
+/// The last fixes and the last uploads.
 pub struct Feed {
-    /// Fixes.
+    /// Answers to localization requests.
     pub fixes: Channel<FixEvent>,
-    /// Uploads.
+    /// Uploads that were counted or refused.
     pub uploads: Channel<UploadEvent>,
 }
 

@@ -30,11 +30,11 @@ pub struct Metrics {
     pub commit_seconds: Histogram,
     /// Requests whose tiles were all in the cache, and others, by outcome `hit` and `miss`.
     pub windows: Family<OutcomeLabel, Counter>,
-    /// Answers asked again of the exhaustive engine, by outcome `agree` and `differ`.
+    /// Sampled checks by outcome: the exact engine agrees (`agree`) or does not (`differ`).
     pub confirmations: Family<OutcomeLabel, Counter>,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
-    /// Contributions in the journal that are not folded yet.
+    /// Uploads in the journal that are not folded yet.
     pub unfolded: Gauge,
 }
 
@@ -70,14 +70,10 @@ impl Metrics {
         seconds("queue", "Time a localization request waited for a compute slot", &self.queue_seconds);
         seconds("commit", "Time from an upload's last byte to its acknowledgement", &self.commit_seconds);
         r.register("windows", "Requests by whether all their tiles were prepared", self.windows.clone());
-        let again = "Answers asked again of the exhaustive engine";
-        r.register("confirmations", again, self.confirmations.clone());
+        let help = "Sampled checks: answers repeated with an exact engine, by outcome";
+        r.register("confirmations", help, self.confirmations.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
-        r.register(
-            "unfolded_contributions",
-            "Contributions in the journal not folded yet",
-            self.unfolded.clone(),
-        );
+        r.register("unfolded_contributions", "Uploads in the journal not folded yet", self.unfolded.clone());
     }
 
     /// All metrics as OpenMetrics text.

@@ -23,35 +23,35 @@ pub enum Error {
     /// The file cannot be read.
     #[error("cannot read {path}: {source}")]
     Read {
-        /// The file.
+        /// The file that was named by `--config`.
         path: PathBuf,
-        /// The system's words.
+        /// What the operating system reported.
         source: std::io::Error,
     },
     /// Not TOML, or a value of the wrong kind.
     #[error("{origin}: {reason}")]
     Malformed {
-        /// Where it was found.
+        /// The file, environment variable or flag it came from.
         origin: String,
-        /// What is wrong.
+        /// What the parser reported.
         reason: String,
     },
     /// A key nobody knows.
     #[error("{origin}: unknown key `{key}`{hint}")]
     UnknownKey {
-        /// Where it was found.
+        /// The file, environment variable or flag it came from.
         origin: String,
         /// The key, with its section.
         key: String,
         /// What may have been meant.
         hint: String,
     },
-    /// A value that makes no sense.
+    /// A value outside its range.
     #[error("`{key}` {rule}")]
     OutOfRange {
         /// The key, with its section.
         key: &'static str,
-        /// What it must be.
+        /// The rule that the value breaks.
         rule: &'static str,
     },
 }
@@ -60,23 +60,23 @@ pub enum Error {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Vehicles.
+    /// The gRPC port, for vehicles.
     pub grpc: ListenConfig,
-    /// Operators.
+    /// The HTTP port, for operators.
     pub http: ListenConfig,
     /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What an upload must fulfil.
     pub mapping: MappingConfig,
-    /// How to locate.
+    /// How fixes are computed.
     pub locating: LocatingConfig,
-    /// What clients may take.
+    /// What one client may take of the service.
     pub limits: LimitsConfig,
     /// What is written to standard error.
     pub log: LogConfig,
 }
 
-/// A port.
+/// The address of a port.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ListenConfig {
@@ -96,7 +96,7 @@ pub struct StoreConfig {
     pub segment_mib: u64,
 }
 
-/// What clients may take.
+/// What one client may take of the service.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LimitsConfig {
@@ -166,9 +166,9 @@ pub struct LogConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LogFormat {
-    /// For people.
+    /// Lines for people.
     Text,
-    /// For machines.
+    /// One JSON object a line, for machines.
     Json,
 }
 

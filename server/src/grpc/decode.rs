@@ -38,11 +38,11 @@ const MAX_ANGLE_RAD: f64 = 1e3;
 pub struct DecodedBatch {
     /// Microseconds since the Unix epoch.
     pub reference_time_us: i64,
-    /// The radars.
+    /// Where the radars sit on the vehicle.
     pub mounts: Vec<Mount>,
     /// Scans, as they came.
     pub scans: ScanColumns,
-    /// Odometry.
+    /// The vehicle's way in its odometry frame.
     pub odometry: Trajectory,
 }
 
@@ -178,7 +178,7 @@ pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(Lat
 /// A position on the globe.
 ///
 /// # Errors
-/// When it is none.
+/// When it lies outside of the ranges of latitude or longitude.
 pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, InvalidField> {
     require(lat_deg.abs() <= 90.0, &format!("{field}.latitude_deg"), "must lie within -90 and 90 degrees")?;
     require(

@@ -30,7 +30,7 @@ use crate::metrics::{Metrics, OutcomeLabel};
 use crate::trace::in_current_span;
 use encode::{BatchFacts, milliseconds, reason, refused, response};
 
-/// The service's localization half.
+/// Answers localization requests.
 pub struct LocalizationApi {
     inner: Arc<Localization>,
 }

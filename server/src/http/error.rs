@@ -25,7 +25,7 @@ pub enum Error {
     /// The address is longer than any of ours.
     #[error("the address is longer than {limit} bytes")]
     AddressTooLong {
-        /// Bytes allowed.
+        /// Longest address that is served, bytes.
         limit: usize,
     },
     /// All permits of this kind are taken.
@@ -34,7 +34,7 @@ pub enum Error {
     /// No answer in time.
     #[error("no answer within {seconds} s")]
     TimedOut {
-        /// Time allowed.
+        /// How long an answer may take to begin, seconds.
         seconds: u64,
     },
     /// The store refused.

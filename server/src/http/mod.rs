@@ -47,7 +47,7 @@ use error::Error;
 /// What the routes answer from.
 #[derive(Clone)]
 pub struct HttpState {
-    /// The map.
+    /// The map that is served.
     pub store: Arc<dyn MapStore>,
     /// What fixes can be expected to be.
     pub expectations: Arc<Expectations>,

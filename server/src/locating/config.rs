@@ -40,7 +40,7 @@ pub struct LocatingConfig {
     pub queue: usize,
     /// Memory for prepared tiles, MiB.
     pub tile_cache_mib: u64,
-    /// Which engine searches.
+    /// Which engine finds the maximum of the correlation.
     pub engine: EngineChoice,
     /// Fraction of the answers that are repeated with an exact engine: the sampled check.
     pub confirm_share: f64,

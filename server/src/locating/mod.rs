@@ -52,17 +52,17 @@ pub struct LocateRequest {
 pub struct LocateAnswer {
     /// The alignment on the zone's grid.
     pub alignment: Alignment,
-    /// The zone.
+    /// The UTM zone whose grid the alignment is on.
     pub zone: Zone,
     /// The correction found within the prior's sigmas: metres east and north on the grid, radians.
     pub found: Pose2,
-    /// Corrected position.
+    /// The corrected position.
     pub at: LatLon,
     /// Corrected heading, radians counter-clockwise from true east.
     pub yaw_rad: f64,
-    /// Bounds of the error.
+    /// Protection levels: what bounds the error, no more often exceeded than `integrity_risk`.
     pub protection: Protection,
-    /// The integrity risk they hold for.
+    /// The integrity risk that the protection levels hold for.
     pub integrity_risk: f64,
     /// True when the prior is combined into it.
     pub contains_prior: bool,
@@ -70,14 +70,14 @@ pub struct LocateAnswer {
     pub relocalized: bool,
     /// The map it rests on.
     pub map: MapUsed,
-    /// Where the time went.
+    /// How long its parts took.
     pub timing: Timing,
 }
 
 /// The map an answer rests on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MapUsed {
-    /// Its epoch.
+    /// Epoch of the map when the window was made.
     pub epoch: u64,
     /// Last UTC day anything was seen in the window, counted from the Unix epoch.
     pub newest_day: u16,
@@ -87,7 +87,7 @@ pub struct MapUsed {
     pub cells: usize,
 }
 
-/// Where the time went.
+/// How long the parts of an answer took.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Timing {
     /// Waiting for a compute slot.
@@ -96,7 +96,7 @@ pub struct Timing {
     pub window: Duration,
     /// Whether all came from the cache.
     pub window_cached: bool,
-    /// Aligning.
+    /// Aligning the batch, with any relocalization.
     pub align: Duration,
 }
 
@@ -110,9 +110,9 @@ pub enum LocateRefusal {
     NoMap {
         /// Half width of the window, metres.
         reach_m: f64,
-        /// Degrees.
+        /// The prior, degrees north.
         lat_deg: f64,
-        /// Degrees.
+        /// The prior, degrees east.
         lon_deg: f64,
     },
     /// The vehicle hardly moves.
@@ -120,7 +120,7 @@ pub enum LocateRefusal {
         "the vehicle moves at {speed_mps:.2} m/s; radar at rest is mostly clutter, ask again above {least_mps} m/s"
     )]
     TooSlow {
-        /// Metres per second.
+        /// The vehicle's mean speed over the batch, metres per second.
         speed_mps: f64,
         /// The least speed, metres per second.
         least_mps: f64,
@@ -133,19 +133,19 @@ pub enum LocateRefusal {
         "{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch"
     )]
     TooFewDetections {
-        /// Left.
+        /// Detections left after the gates.
         kept: usize,
-        /// Sent.
+        /// Detections in the request.
         sent: u64,
-        /// Dropped.
+        /// Dropped: taken while the vehicle was too slow.
         too_slow: u64,
-        /// Dropped.
+        /// Dropped: farther away than the gate.
         too_far: u64,
-        /// Dropped.
+        /// Dropped: movers.
         moving: u64,
-        /// Dropped.
+        /// Dropped: taken when there was no odometry.
         without_pose: u64,
-        /// Needed.
+        /// Detections that are needed.
         least: usize,
     },
     /// The prior's sigma asks for a search wider than the service offers.
@@ -153,9 +153,9 @@ pub enum LocateRefusal {
     PriorTooUncertain {
         /// Position or heading, with its unit.
         what: &'static str,
-        /// Given.
+        /// The prior's sigma.
         given: f64,
-        /// The most.
+        /// The largest sigma that is searched.
         most: f64,
     },
     /// The prior lies where there is no UTM zone.
@@ -164,9 +164,9 @@ pub enum LocateRefusal {
     /// All compute slots are taken and the queue is full.
     #[error("{waiting} requests are waiting already; try again in {} ms", retry_after.as_millis())]
     Overloaded {
-        /// Requests under way.
+        /// Requests that run or wait.
         waiting: usize,
-        /// When to try again.
+        /// How long to wait before the next attempt.
         retry_after: Duration,
     },
     /// The map cannot be read.
@@ -200,7 +200,7 @@ impl Locator {
         Self { store, config, tiles, slots }
     }
 
-    /// Its configuration.
+    /// How it locates: the `[locating]` section.
     pub fn config(&self) -> &LocatingConfig {
         &self.config
     }

@@ -38,11 +38,11 @@ pub enum Error {
     /// A port is not to be had.
     #[error("cannot listen on {address} for {port}: {source}")]
     Listen {
-        /// The address.
+        /// The address that was to be bound.
         address: SocketAddr,
-        /// What for.
+        /// The port's protocol.
         port: &'static str,
-        /// The system's words.
+        /// What the operating system reported.
         source: io::Error,
     },
     /// The store does not open.
@@ -50,15 +50,15 @@ pub enum Error {
     Store {
         /// The data directory.
         dir: String,
-        /// Its words.
+        /// Why it does not open.
         source: store::Error,
     },
     /// The file with the addresses cannot be written.
     #[error("cannot write {path}: {source}")]
     AddressFile {
-        /// The file.
+        /// The file that was named by `--addr-file`.
         path: String,
-        /// The system's words.
+        /// What the operating system reported.
         source: io::Error,
     },
     /// The gRPC port failed.
@@ -96,9 +96,9 @@ pub struct Server {
 /// Where a server listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Addresses {
-    /// Vehicles.
+    /// The gRPC port, for vehicles.
     pub grpc: SocketAddr,
-    /// Operators.
+    /// The HTTP port, for operators.
     pub http: SocketAddr,
 }
 

@@ -22,36 +22,36 @@ pub struct HistoryEvent {
     pub last: u64,
     /// UTC day it was written on, counted from the Unix epoch.
     pub day: u16,
-    /// What happened.
+    /// Its kind, and what it did.
     pub what: EventKind,
 }
 
-/// What happened.
+/// What may happen to the map.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EventKind {
     /// Uploads came, one after the other on one day.
     Uploads {
-        /// How many.
+        /// Number of the uploads.
         uploads: u64,
-        /// From how many contributors.
+        /// Number of their contributors.
         contributors: u64,
-        /// How many of them no longer count.
+        /// Number of the uploads that no longer count.
         taken_back: u64,
     },
     /// Tiles of another map's file came.
     Import {
-        /// The file's id.
+        /// Id of the file they came in.
         file: Uuid,
-        /// How many tiles.
+        /// Number of the tiles.
         tiles: u64,
-        /// How many of them no longer count.
+        /// Number of the tiles that no longer count.
         taken_back: u64,
     },
     /// An operator decided.
     Control {
-        /// When, microseconds since the Unix epoch.
+        /// Time of the decision, microseconds since the Unix epoch.
         at_us: i64,
-        /// What was decided.
+        /// The decision.
         decision: Decision,
         /// Uploads and imported tiles it takes back, for itself.
         takes_back: u64,
@@ -74,16 +74,16 @@ pub enum Decision {
 /// A map of the past.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Snapshot {
-    /// Its epoch.
+    /// Number of the last record in it.
     pub epoch: u64,
-    /// Its tiles.
+    /// All its tiles by their ids, unpublished cells included.
     pub tiles: BTreeMap<TileId, Tile>,
 }
 
 /// How a tile of one map differs from the same of another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TileDiff {
-    /// Which tile.
+    /// The tile that differs.
     pub id: TileId,
     /// Occupied cells that only the later map has.
     pub added: u32,

@@ -79,9 +79,9 @@ pub enum Error {
     /// The disk refused.
     #[error("{doing}: {source}")]
     Io {
-        /// What was being done.
+        /// The step that failed, as a phrase: "writing the journal".
         doing: &'static str,
-        /// The system's words.
+        /// What the operating system reported.
         source: std::io::Error,
     },
     /// The tile store refused.
@@ -90,7 +90,7 @@ pub enum Error {
     /// Stored bytes do not pass their checks.
     #[error("{what} is damaged: {reason}")]
     Damaged {
-        /// Which record or tile.
+        /// The record, tile or file.
         what: String,
         /// What is wrong with it.
         reason: String,
@@ -122,7 +122,7 @@ pub enum Error {
 pub struct UploadRecord {
     /// Chosen by the contributor; an upload counts once by it.
     pub id: Uuid,
-    /// Who and when.
+    /// The contributor's hash and the day of the drive.
     pub pass: Pass,
     /// Uploads of days before this one are no longer taken, so the votes of their passes may be
     /// forgotten; 0 forgets none. It is in the record, so that folding it again gives the same.
@@ -145,7 +145,7 @@ pub enum Receipt {
     Duplicate {
         /// The map shows it from this epoch on.
         epoch: u64,
-        /// The answer given then.
+        /// The answer that was given when it was counted, an encoded `UploadResponse`.
         answer: Vec<u8>,
     },
 }
@@ -156,7 +156,7 @@ pub struct StoredTile {
     /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
     /// served of it fades as the map's newest day moves on.
     pub version: u64,
-    /// Its evidence.
+    /// The evidence that is published of it.
     pub tile: Arc<Tile>,
 }
 
@@ -171,7 +171,7 @@ impl StoredTile {
 /// What the catalog says about a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TileInfo {
-    /// Which tile.
+    /// Its id.
     pub id: TileId,
     /// Epoch of its last change.
     pub version: u64,
@@ -179,14 +179,14 @@ pub struct TileInfo {
     pub cells: u32,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
-    /// Encoded size.
+    /// Bytes of the encoded tile.
     pub bytes: u32,
 }
 
 /// The whole map in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
-    /// Tiles.
+    /// Tiles that hold any evidence.
     pub tiles: u64,
     /// Occupied cells.
     pub cells: u64,

@@ -27,7 +27,7 @@ const GROUP: usize = 64;
 pub struct Region {
     /// Its limits as they were asked for: west, south, east, north, degrees.
     pub bounds_deg: [f64; 4],
-    /// Its tiles.
+    /// The tiles that touch it, by their ids.
     pub tiles: Vec<TileId>,
 }
 

@@ -21,9 +21,9 @@ const PREPARED: usize = 256;
 /// An upload that vetting kept out of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuarantinedRecord {
-    /// Number of its record.
+    /// Number of the upload's record.
     pub number: u64,
-    /// Why.
+    /// Why vetting kept it out.
     pub reason: Reason,
     /// Where it was, whose it was, and how far off.
     pub upload: QuarantinedUpload,

@@ -78,6 +78,10 @@ impl Evidence {
         if contribution.tiles.keys().any(|id| !id.lies_on_grid()) {
             return Err(invalid(&"a tile lies outside its zone"));
         }
+        // The journal gets an encoding that is made anew, and not the bytes as they came. Their head holds the vehicle's own
+        // count of detections, which nothing checks and the answer repeats: it is replaced by what the cells add up to. And
+        // whatever library encoded them, equal evidence then gives the same record. Folding decodes the record, not this
+        // value, so that it does the same now and at a replay.
         let contribution = Contribution { detections, ..contribution };
         Ok(Contributed { contribution, dropped: Dropped::default() })
     }

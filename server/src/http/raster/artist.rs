@@ -24,7 +24,7 @@ const OVERVIEW_EVERY: Duration = Duration::from_secs(1);
 
 /// The answer to a request for a map tile.
 pub struct Picture {
-    /// Names the picture.
+    /// The picture's entity tag.
     pub tag: String,
     /// The picture; absent when the one asked about is still right.
     pub png: Option<Bytes>,

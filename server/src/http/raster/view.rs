@@ -16,11 +16,11 @@ const STEP: usize = 8;
 /// A tile of the Web-Mercator pyramid (z/x/y, y from the north) as a square of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct View {
-    /// Zoom.
+    /// Zoom level: the world is 2^z tiles wide.
     pub z: u8,
-    /// Tiles east.
+    /// Column, counted eastward from 180 degrees west.
     pub x: u32,
-    /// Tiles south.
+    /// Row, counted southward from the north.
     pub y: u32,
     /// Pixels along a side: 256, or 512 for dense screens.
     pub side: usize,
