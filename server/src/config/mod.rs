@@ -164,11 +164,12 @@ pub struct LogConfig {
 
 /// The look of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
 pub enum LogFormat {
     /// Lines for people.
+    #[serde(rename = "text")]
     Text,
     /// One JSON object a line, for machines.
+    #[serde(rename = "json")]
     Json,
 }
 

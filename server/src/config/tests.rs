@@ -64,6 +64,20 @@ fn mistakes_are_reported_with_their_origin_and_a_hint() {
     assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
 }
 
+/// Catches: a value of a setting that changes its name with the code's.
+#[test]
+fn the_words_that_settings_take_stay() {
+    for (key, words) in
+        [("locating.engine", &["auto", "fast", "bounded", "fft"][..]), ("log.format", &["text", "json"])]
+    {
+        for word in words {
+            let config = load(None, &[], &[(key, word)]).unwrap();
+            let (_, name) = key.split_once('.').unwrap();
+            assert!(config.to_toml().contains(&format!("{name} = \"{word}\"")), "{word}");
+        }
+    }
+}
+
 #[test]
 fn locating_beyond_reason_is_refused() {
     let cases = [

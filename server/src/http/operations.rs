@@ -176,11 +176,13 @@ pub async fn rollback(
 
 /// What is revoked.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "snake_case")]
+#[serde(deny_unknown_fields)]
 pub enum RevokeBody {
     /// All uploads of a contributor so far, by its pseudonym.
+    #[serde(rename = "contributor")]
     Contributor(String),
     /// An upload or an imported file, by its id.
+    #[serde(rename = "upload")]
     Upload(String),
 }
 

@@ -7,15 +7,18 @@ use serde::{Deserialize, Serialize};
 
 /// Ways to find the maximum of the correlation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
 pub enum EngineChoice {
     /// The fastest for the request.
+    #[serde(rename = "auto")]
     Auto,
     /// Coarse to fine.
+    #[serde(rename = "fast")]
     Fast,
     /// Exact, by bounds.
+    #[serde(rename = "bounded")]
     Bounded,
     /// Exact, every hypothesis.
+    #[serde(rename = "fft")]
     Fft,
 }
 

@@ -111,7 +111,7 @@ impl EmbeddedStore {
         // Compacted segments end where the compaction begins.
         let fresh = matches!(action, Action::Compact(_));
         let written = self.append(meta, fresh, payload)?;
-        tracing::info!(number = written.number, ?action, "a control was written");
+        tracing::info!(number = written.number, action = action.word(), "a control was written");
         Ok(written.number)
     }
 }

@@ -77,6 +77,18 @@ pub(super) enum Action {
     Compact(u64),
 }
 
+impl Action {
+    /// Its word in the log, which says nothing about whom it concerns.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::RevokeContributor(_) => "revoke_contributor",
+            Self::RevokeUpload(_) => "revoke_upload",
+            Self::Rollback(_) => "rollback",
+            Self::Compact(_) => "compact",
+        }
+    }
+}
+
 /// What folding does with a record.
 #[derive(Debug)]
 pub(super) enum RecordContent {

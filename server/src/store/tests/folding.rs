@@ -1,5 +1,6 @@
 //! What folding makes of a journal stays the same, or `FOLDING` is raised.
 
+use echofix_core::datum::Datum;
 use echofix_core::evidence::{CellHits, Contribution, Pass, Share};
 use echofix_core::geo::{CellIndex, Zone};
 use echofix_core::vetting::Limits;
@@ -35,6 +36,23 @@ fn street(contributor: u64, [east, north]: [i64; 2]) -> UploadRecord {
     }
 }
 
+/// All numbers of a tile, by no name of the code and in no codec: a rename or another compression is no other map.
+fn numbers(id: TileId, tile: &Tile) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut put = |numbers: &[i64]| bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+    put(&[id.zone.epsg().into(), id.x.into(), id.y.into(), tile.len() as i64]);
+    for (index, cell) in tile.cells() {
+        let Cell { hits, passes, contributors, presence, first_day, last_day, offset_sum: [x, y] } = *cell;
+        put(&[(*index).into(), hits.into(), passes.into(), contributors.into(), presence.into()]);
+        put(&[first_day.into(), last_day.into(), x.into(), y.into()]);
+    }
+    put(&tile.observed().map(i64::from));
+    put(&tile.support().map(i64::from));
+    let Datum { passes, shift_mm: [east, north], yaw_urad } = tile.datum();
+    put(&[passes.into(), east, north, yaw_urad]);
+    bytes
+}
+
 /// Fails when folding makes something else of the same journal. Where that is meant, raise `FOLDING`, so that maps are
 /// folded anew and callers take no version for what it no longer is; and put the new sum here.
 #[test]
@@ -49,8 +67,8 @@ fn the_same_journal_gives_the_same_map_from_build_to_build() {
     for id in map(&store).into_keys() {
         let tile = store.tile(id).unwrap().unwrap().tile;
         moved += tile.datum().shift_mm[0].abs();
-        sum = crc32c::crc32c_append(sum, format!("{id} {tile:?}").as_bytes());
+        sum = crc32c::crc32c_append(sum, &numbers(id, &tile));
     }
     assert!(moved > 0, "they were compared with each other");
-    assert_eq!((FOLDING, sum), (1, 0xb914_38e2), "{sum:#x}");
+    assert_eq!((FOLDING, sum), (1, 0x0f15_2f1b), "{sum:#x}");
 }
