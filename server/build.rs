@@ -14,15 +14,15 @@ const SOURCES: [&str; 5] = ["package.json", "package-lock.json", "build.mjs", "i
 
 /// Why the console cannot be built. The words are all that there is to know: cargo prints them.
 #[derive(Debug)]
-struct Failure(String);
+struct BuildFailure(String);
 
-impl fmt::Display for Failure {
+impl fmt::Display for BuildFailure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
     }
 }
 
-type BuildResult<T> = Result<T, Failure>;
+type BuildResult<T> = Result<T, BuildFailure>;
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -37,8 +37,9 @@ fn main() {
 
 fn run() -> BuildResult<()> {
     println!("cargo::rerun-if-env-changed=ECHOFIX_CONSOLE_DIST");
-    let out =
-        PathBuf::from(env::var_os("OUT_DIR").ok_or_else(|| Failure("cargo sets no OUT_DIR".to_owned()))?);
+    let out = PathBuf::from(
+        env::var_os("OUT_DIR").ok_or_else(|| BuildFailure("cargo sets no OUT_DIR".to_owned()))?,
+    );
     let dist = match env::var_os("ECHOFIX_CONSOLE_DIST") {
         Some(ready) => ready_built(Path::new(&ready))?,
         None => bundled(&out.join("console"))?,
@@ -48,19 +49,20 @@ fn run() -> BuildResult<()> {
 }
 
 /// What went wrong with a path.
-fn at(path: &Path, what: impl fmt::Display) -> Failure {
-    Failure(format!("{}: {what}", path.display()))
+fn at(path: &Path, what: impl fmt::Display) -> BuildFailure {
+    BuildFailure(format!("{}: {what}", path.display()))
 }
 
 /// A folder that was built before.
 fn ready_built(dist: &Path) -> BuildResult<PathBuf> {
-    let dist =
-        dist.canonicalize().map_err(|e| Failure(format!("ECHOFIX_CONSOLE_DIST={}: {e}", dist.display())))?;
+    let dist = dist
+        .canonicalize()
+        .map_err(|e| BuildFailure(format!("ECHOFIX_CONSOLE_DIST={}: {e}", dist.display())))?;
     for path in files_below(&dist)? {
         println!("cargo::rerun-if-changed={}", path.display());
     }
     if !dist.join("index.html").is_file() {
-        return Err(Failure(format!("ECHOFIX_CONSOLE_DIST={} holds no index.html", dist.display())));
+        return Err(BuildFailure(format!("ECHOFIX_CONSOLE_DIST={} holds no index.html", dist.display())));
     }
     Ok(dist)
 }
@@ -96,14 +98,14 @@ fn npm(work: &Path, arguments: &[&str]) -> BuildResult<()> {
                   at its `dist` folder.";
     let program = if cfg!(windows) { "npm.cmd" } else { "npm" };
     let output = Command::new(program).args(arguments).current_dir(work).output();
-    let output = output.map_err(|e| Failure(format!("{program} could not be run: {e}.\n{advice}")))?;
+    let output = output.map_err(|e| BuildFailure(format!("{program} could not be run: {e}.\n{advice}")))?;
     if output.status.success() {
         return Ok(());
     }
     let printed =
         [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).join("\n");
     let (command, status, printed) = (arguments.join(" "), output.status, printed.trim());
-    Err(Failure(format!("`npm {command}` failed ({status}):\n{printed}\n\n{advice}")))
+    Err(BuildFailure(format!("`npm {command}` failed ({status}):\n{printed}\n\n{advice}")))
 }
 
 /// Rust source that embeds every file of the bundle, with its `.gz` twin where there is one.

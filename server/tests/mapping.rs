@@ -21,9 +21,9 @@ use tonic_types::StatusExt;
 use uuid::Uuid;
 
 /// A change that spoils an upload.
-type Spoil = fn(&mut Vec<UploadRequest>);
+type UploadChange = fn(&mut Vec<UploadRequest>);
 /// The same with something captured.
-type SpoilWith<'a> = &'a dyn Fn(&mut Vec<UploadRequest>);
+type UploadChangeWith<'a> = &'a dyn Fn(&mut Vec<UploadRequest>);
 
 const AUSTIN: (f64, f64) = (30.2672, -97.7431);
 
@@ -174,7 +174,7 @@ async fn near_a_zone_border_both_zones_learn_and_detections_count_once() {
 async fn malformed_uploads_name_the_field() {
     let dir = tempfile::tempdir().unwrap();
     let server = TestServer::start(dir.path()).await;
-    let cases: [(&str, Spoil); 12] = [
+    let cases: [(&str, UploadChange); 12] = [
         ("header", |m| drop(m.remove(0))),
         ("header", |m| m.push(header(Uuid::nil()))),
         ("chunk", |m| m.truncate(1)),
@@ -206,7 +206,7 @@ async fn unusable_uploads_are_refused_with_their_reason() {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
         now.as_micros() as i64 - days * DAY_US
     };
-    let cases: [(&str, SpoilWith); 6] = [
+    let cases: [(&str, UploadChangeWith); 6] = [
         ("POSE_TOO_UNCERTAIN", &|m| chunk_of(m).0.sigma_position_m.fill(0.5)),
         ("TOO_SLOW", &|m| chunk_of(m).0.latitude_deg.fill(AUSTIN.0)),
         ("NO_DETECTIONS", &|m| {

@@ -17,9 +17,9 @@ use uuid::Uuid;
 
 /// What was logged.
 #[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
+struct CapturedLog(Arc<Mutex<Vec<u8>>>);
 
-impl Write for Log {
+impl Write for CapturedLog {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
         Ok(bytes.len())
@@ -30,7 +30,7 @@ impl Write for Log {
     }
 }
 
-impl Log {
+impl CapturedLog {
     fn lines(&self) -> Vec<Value> {
         let bytes = self.0.lock().unwrap().clone();
         String::from_utf8(bytes).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
@@ -66,7 +66,7 @@ async fn sent(server: &TestServer, messages: Vec<UploadRequest>, id: &str) -> (S
 
 #[tokio::test]
 async fn log_lines_carry_the_id_of_their_request_and_answers_name_it() {
-    let log = Log::default();
+    let log = CapturedLog::default();
     let writer = log.clone();
     let filter = tracing_subscriber::EnvFilter::new("info,echofix_server=debug");
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(move || writer.clone());

@@ -49,7 +49,7 @@ impl LocalizationApi {
         Self { inner: Arc::new(Localization { answered: AtomicU64::new(0), locator, feed, metrics }) }
     }
 
-    /// Answers one question on this thread, from its columns to its answer.
+    /// Answers one request on this thread, from its columns to its answer.
     ///
     /// # Errors
     /// The refusal, as the call would return it.
@@ -128,17 +128,17 @@ impl Localization {
         deadline: Option<Instant>,
         mut admitted: Admitted,
     ) -> Result<(LocalizeResponse, Option<SampledCheck>), Status> {
-        let asked = self.question(request, deadline).map_err(|violation| {
+        let asked = self.decoded(request, deadline).map_err(|violation| {
             tracing::debug!(field = violation.field, "request not valid");
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
         })?;
-        let (at, reference_time_us) = (asked.question.at, asked.reference_time_us);
-        let batch = BatchFacts::of(&asked.question.batch);
-        let answer = self.locator.locate(&asked.question, &mut admitted).map_err(|r| self.refuse(&r))?;
+        let (at, reference_time_us) = (asked.request.at, asked.reference_time_us);
+        let batch = BatchFacts::of(&asked.request.batch);
+        let answer = self.locator.locate(&asked.request, &mut admitted).map_err(|r| self.refuse(&r))?;
         let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
         self.record(&answer, &response, at.lat_deg, at.lon_deg);
-        let check = self.is_sampled().then(|| SampledCheck { question: asked.question, answer, admitted });
+        let check = self.is_sampled().then(|| SampledCheck { request: asked.request, answer, admitted });
         Ok((response, check))
     }
 
@@ -151,8 +151,8 @@ impl Localization {
 
     /// Repeats an answer with an exact engine; computes for long.
     fn run_check(&self, check: SampledCheck) {
-        let SampledCheck { question, answer, mut admitted } = check;
-        let outcome = match self.locator.check_sample(&question, &answer, &mut admitted) {
+        let SampledCheck { request, answer, mut admitted } = check;
+        let outcome = match self.locator.check_sample(&request, &answer, &mut admitted) {
             Ok(true) => "agree",
             Ok(false) => {
                 tracing::warn!("the exact engine found another pose than the answer");
@@ -173,7 +173,7 @@ impl Localization {
         refused(refusal)
     }
 
-    fn question(
+    fn decoded(
         &self,
         request: LocalizeRequest,
         deadline: Option<Instant>,
@@ -192,7 +192,7 @@ impl Localization {
         let batch =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
                 .map_err(|e| InvalidField::new("batch.odometry", e))?;
-        let question = LocateRequest {
+        let request = LocateRequest {
             batch,
             at,
             yaw_rad,
@@ -203,7 +203,7 @@ impl Localization {
             deadline,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
-        Ok(DecodedRequest { question, reference_time_us, alert_limit_m: limit })
+        Ok(DecodedRequest { request, reference_time_us, alert_limit_m: limit })
     }
 
     fn count(&self, outcome: &'static str) {
@@ -249,7 +249,7 @@ impl Localization {
 
 /// An answer that is to be repeated with an exact engine.
 struct SampledCheck {
-    question: LocateRequest,
+    request: LocateRequest,
     answer: LocateAnswer,
     admitted: Admitted,
 }
@@ -272,7 +272,7 @@ fn deadline(metadata: &MetadataMap) -> Option<Instant> {
 }
 
 struct DecodedRequest {
-    question: LocateRequest,
+    request: LocateRequest,
     reference_time_us: i64,
     alert_limit_m: f64,
 }

@@ -1,6 +1,6 @@
 //! gRPC for vehicles: decode and validate, call the domain, encode. No domain logic here.
 //!
-//! - [`violation`], [`decode`]: columns of the contract to values of the core, or the path of the
+//! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.

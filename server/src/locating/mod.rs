@@ -1,5 +1,5 @@
-//! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds; and what such
-//! answers can be expected to be.
+//! Fixes: the map window, a compute slot, the alignment, its protection levels; and localizability, what a fix can be
+//! expected to be.
 
 mod config;
 mod expectation;
@@ -183,7 +183,7 @@ pub struct Admitted {
     queued: Duration,
 }
 
-/// Answers questions from the map, on a bounded number of threads.
+/// Answers requests from the map, on a bounded number of threads.
 pub struct Locator {
     store: Arc<dyn MapStore>,
     config: LocatingConfig,
@@ -216,18 +216,18 @@ impl Locator {
         Ok(Admitted { slot, queued: waiting.elapsed() })
     }
 
-    /// Answers one question. Computes for a while: keep it off the async threads.
+    /// Answers one request. Computes for a while: keep it off the async threads.
     ///
     /// # Errors
     /// What cannot be answered is refused with the reason.
     pub fn locate(
         &self,
-        question: &LocateRequest,
+        request: &LocateRequest,
         admitted: &mut Admitted,
     ) -> Result<LocateAnswer, LocateRefusal> {
-        self.check(question)?;
+        self.check(request)?;
         let queued = admitted.queued;
-        self.answer(question, admitted.slot.aligner(), queued)
+        self.answer(request, admitted.slot.aligner(), queued)
     }
 
     /// Repeats a request with the engine that tries every hypothesis: does it find the same? Takes some hundred times as
@@ -237,22 +237,22 @@ impl Locator {
     /// When the map cannot be read any more.
     pub fn check_sample(
         &self,
-        question: &LocateRequest,
+        request: &LocateRequest,
         answer: &LocateAnswer,
         admitted: &mut Admitted,
     ) -> Result<bool, LocateRefusal> {
-        let placed = self.placed_prior(question)?;
+        let placed = self.placed_prior(request)?;
         let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
-            Task { frame: placed.frame, tiles: &found.tiles, batch: &question.batch, prior: &placed.prior };
+            Task { frame: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
         let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 
     /// What needs no map to be refused.
-    fn check(&self, question: &LocateRequest) -> Result<(), LocateRefusal> {
-        let LocateRequest { batch, sigma_position_m, sigma_yaw_rad, .. } = question;
+    fn check(&self, request: &LocateRequest) -> Result<(), LocateRefusal> {
+        let LocateRequest { batch, sigma_position_m, sigma_yaw_rad, .. } = request;
         let LocatingConfig { max_sigma_position_m, max_sigma_yaw_deg, min_detections, min_speed_mps, .. } =
             self.config;
         if batch.detections == 0 {
@@ -275,34 +275,34 @@ impl Locator {
     /// Tiles, alignment, bounds; blocks.
     fn answer(
         &self,
-        question: &LocateRequest,
+        request: &LocateRequest,
         aligner: &mut Aligner,
         queued: Duration,
     ) -> Result<LocateAnswer, LocateRefusal> {
-        let PlacedPrior { grid, prior, frame } = self.placed_prior(question)?;
+        let PlacedPrior { grid, prior, frame } = self.placed_prior(request)?;
         let fetching = Instant::now();
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
-            return Err(no_map(frame, question.at));
+            return Err(no_map(frame, request.at));
         }
         let window = fetching.elapsed();
         let aligning = Instant::now();
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
+        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &prior };
         let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
         let correction = alignment.correction;
-        let wide = self.relocalize(question, &grid, &prior, &alignment, aligner)?;
+        let wide = self.relocalize(request, &grid, &prior, &alignment, aligner)?;
         let relocalized = wide.is_some();
         alignment = wide.unwrap_or(alignment);
-        let combined = question.combine && alignment.verdict == Verdict::Usable;
+        let combined = request.combine && alignment.verdict == Verdict::Usable;
         // The prior is in true east and north, the alignment in the grid's.
-        let covariance = turned(&question.covariance, grid.convergence_rad(question.at)?);
+        let covariance = turned(&request.covariance, grid.convergence_rad(request.at)?);
         let combined = combined.then(|| alignment.combined(&prior.pose, &covariance)).flatten();
         let contains_prior = combined.is_some();
         alignment = combined.unwrap_or(alignment);
         let align = aligning.elapsed();
         let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
-        let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
+        let integrity_risk = request.integrity_risk.unwrap_or(self.config.integrity_risk);
         Ok(LocateAnswer {
             protection: alignment.protection(&integrity, integrity_risk),
             alignment,
@@ -319,13 +319,13 @@ impl Locator {
     }
 
     /// The prior on its grid, and the square around it.
-    fn placed_prior(&self, question: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
-        let grid = Grid::of(question.at)?;
+    fn placed_prior(&self, request: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
+        let grid = Grid::of(request.at)?;
         let prior = Prior {
-            pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,
-            sigma_position_m: question.sigma_position_m,
-            sigma_yaw_rad: question.sigma_yaw_rad,
-            scale: grid.scale_factor(question.at)?,
+            pose: grid.pose_from_geodetic(request.at, request.yaw_rad)?,
+            sigma_position_m: request.sigma_position_m,
+            sigma_yaw_rad: request.sigma_yaw_rad,
+            scale: grid.scale_factor(request.at)?,
         };
         let frame = self.frame(&grid, &prior);
         Ok(PlacedPrior { grid, prior, frame })
@@ -342,14 +342,14 @@ impl Locator {
     /// asked for again, not to be used.
     fn relocalize(
         &self,
-        question: &LocateRequest,
+        request: &LocateRequest,
         grid: &Grid,
         prior: &Prior,
         answer: &Alignment,
         aligner: &mut Aligner,
     ) -> Result<Option<Alignment>, LocateRefusal> {
         let not_found = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
-        let late = question
+        let late = request
             .deadline
             .is_some_and(|at| at.saturating_duration_since(Instant::now()) < RELOCALIZATION_TIME);
         let (search, integrity) = (self.config.search(), self.config.integrity());
@@ -363,7 +363,7 @@ impl Locator {
         };
         let frame = self.frame(grid, &wide);
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
+        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &wide };
         let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {
             elsewhere.verdict = Verdict::PriorOutsideSearch;

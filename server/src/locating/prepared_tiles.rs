@@ -21,7 +21,7 @@ struct PreparedKey {
     versions: [u64; 9],
 }
 
-/// The tiles of a square.
+/// The tiles of a map window.
 pub(super) struct WindowTiles {
     pub tiles: Vec<Arc<TileWeights>>,
     /// Epoch of the map when they were looked up.
@@ -44,7 +44,7 @@ impl PreparedTiles {
         Self { tiles }
     }
 
-    /// The tiles of a square; none where nothing is served. Blocks.
+    /// The tiles of a map window; none where nothing is served. Blocks.
     pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<WindowTiles, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));

@@ -8,9 +8,9 @@ use echofix_core::time::day_of;
 
 /// A source of the time. The store takes the days of its records from it.
 #[derive(Clone)]
-pub struct Clock(Arc<dyn Fn() -> i64 + Send + Sync>);
+pub struct StoreClock(Arc<dyn Fn() -> i64 + Send + Sync>);
 
-impl Clock {
+impl StoreClock {
     /// A clock that reads a function: microseconds since the Unix epoch.
     pub fn new(now_us: impl Fn() -> i64 + Send + Sync + 'static) -> Self {
         Self(Arc::new(now_us))
@@ -30,14 +30,14 @@ impl Clock {
 }
 
 /// The system's clock.
-impl Default for Clock {
+impl Default for StoreClock {
     fn default() -> Self {
         Self::new(|| SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64))
     }
 }
 
-impl fmt::Debug for Clock {
+impl fmt::Debug for StoreClock {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Clock").finish_non_exhaustive()
+        f.debug_struct("StoreClock").finish_non_exhaustive()
     }
 }

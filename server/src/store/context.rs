@@ -12,14 +12,14 @@ use super::generation::Generation;
 use super::index::JournalIndex;
 use super::journal::Journal;
 use super::options::Options;
-use super::{Clock, Error, MapProgress, MapStatus, Policy};
+use super::{Error, MapProgress, MapStatus, Policy, StoreClock};
 
 /// What the store and its folding thread share.
 pub(super) struct StoreContext {
     pub(super) cache_bytes: u64,
     pub(super) write_buffer_tiles: usize,
     pub(super) policy: Policy,
-    pub(super) clock: Clock,
+    pub(super) clock: StoreClock,
     pub(super) journal_id: Uuid,
     pub(super) lineage: u64,
     pub(super) journal: Journal,

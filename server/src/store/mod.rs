@@ -54,7 +54,7 @@ mod verify;
 mod vetting;
 mod write_buffer;
 
-pub use clock::Clock;
+pub use clock::StoreClock;
 pub use embedded::EmbeddedStore;
 pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use operations::Operations;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{Clock, Policy};
+use super::{Policy, StoreClock};
 
 /// Where and how an [`super::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
@@ -19,7 +19,7 @@ pub struct Options {
     /// anew, under a new lineage.
     pub policy: Policy,
     /// What day it is.
-    pub clock: Clock,
+    pub clock: StoreClock,
 }
 
 impl Options {
@@ -33,7 +33,7 @@ impl Options {
             segment_bytes: 64 << 20,
             write_buffer_tiles: 2048,
             policy,
-            clock: Clock::default(),
+            clock: StoreClock::default(),
         }
     }
 }

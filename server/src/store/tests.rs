@@ -26,7 +26,7 @@ thread_local! {
 fn options(dir: &Path) -> Options {
     let usual = Options::new(dir.to_owned(), Policy::trusting());
     let system = usual.clock.clone();
-    let clock = Clock::new(move || {
+    let clock = StoreClock::new(move || {
         TODAY.get().map_or_else(|| system.now_us(), |day| i64::from(day) * echofix_core::time::DAY_US)
     });
     Options { cache_bytes: 8 << 20, segment_bytes: 4096, write_buffer_tiles: 3, clock, ..usual }

@@ -41,8 +41,8 @@ fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
     store
 }
 
-/// The service over that map, and a question from a metre beside the truth.
-fn asked() -> (Localization, LocateRequest) {
+/// The service over that map, and a request from a metre beside the truth.
+fn service_and_request() -> (Localization, LocateRequest) {
     let grid = Grid::of(AUSTIN).unwrap();
     let store = Arc::new(map(&grid, grid.project(AUSTIN).unwrap()));
     let locator = Arc::new(Locator::new(store, Config::load(&Sources::default()).unwrap().locating));
@@ -54,7 +54,7 @@ fn asked() -> (Localization, LocateRequest) {
     let truth = grid.pose_from_geodetic(AUSTIN, grid.convergence_rad(AUSTIN).unwrap()).unwrap();
     let (at, yaw_rad) = grid.pose_to_geodetic(&truth.compose(&beside)).unwrap();
     let (position, yaw) = (0.25, 0.0004);
-    let question = LocateRequest {
+    let request = LocateRequest {
         batch,
         at,
         yaw_rad,
@@ -65,18 +65,18 @@ fn asked() -> (Localization, LocateRequest) {
         deadline: None,
         integrity_risk: None,
     };
-    (inner, question)
+    (inner, request)
 }
 
 /// How often the two agreed and differed when an answer, changed on the way, was asked again.
-async fn confirmed(change: fn(&mut LocateAnswer)) -> [u64; 2] {
-    let (inner, question) = asked();
+async fn checked(change: fn(&mut LocateAnswer)) -> [u64; 2] {
+    let (inner, request) = service_and_request();
     let mut admitted = inner.locator.admit().await.unwrap();
-    let mut answer = inner.locator.locate(&question, &mut admitted).unwrap();
+    let mut answer = inner.locator.locate(&request, &mut admitted).unwrap();
     let back = answer.found.distance_m(&Pose2::new(-0.8, 0.6, 0.0));
     assert!(back < 0.1, "the answer leads back to the truth: {:?}", answer.found);
     change(&mut answer);
-    inner.run_check(SampledCheck { question, answer, admitted });
+    inner.run_check(SampledCheck { request, answer, admitted });
     ["agree", "differ"]
         .map(|outcome| inner.metrics.confirmations.get_or_create(&OutcomeLabel { outcome }).get())
 }
@@ -85,22 +85,22 @@ async fn confirmed(change: fn(&mut LocateAnswer)) -> [u64; 2] {
 /// engines found.
 #[tokio::test]
 async fn an_answer_that_the_exact_engine_finds_too_is_counted_as_agreed() {
-    assert_eq!(confirmed(|_| ()).await, [1, 0]);
+    assert_eq!(checked(|_| ()).await, [1, 0]);
     // What was made of it afterwards is not what the engines are compared by.
-    assert_eq!(confirmed(|answer| answer.alignment.correction = Pose2::IDENTITY).await, [1, 0]);
+    assert_eq!(checked(|answer| answer.alignment.correction = Pose2::IDENTITY).await, [1, 0]);
 }
 
 /// Catches a fast engine whose misses nobody hears of: breaks when any two answers agree.
 #[tokio::test]
-async fn an_answer_on_another_hill_is_counted_as_a_disagreement() {
-    assert_eq!(confirmed(|answer| answer.found.x_m += 1.0).await, [0, 1]);
-    assert_eq!(confirmed(|answer| answer.found.y_m -= 0.3).await, [0, 1]);
+async fn an_answer_on_another_maximum_is_counted_as_a_disagreement() {
+    assert_eq!(checked(|answer| answer.found.x_m += 1.0).await, [0, 1]);
+    assert_eq!(checked(|answer| answer.found.y_m -= 0.3).await, [0, 1]);
 }
 
 /// Catches a fraction that comes in bursts, or of everything or nothing.
 #[tokio::test]
 async fn the_answers_to_be_checked_are_evenly_spread() {
-    let (inner, _) = asked();
+    let (inner, _) = service_and_request();
     let config = LocatingConfig { confirm_share: 0.25, ..*inner.locator.config() };
     let locator = Arc::new(Locator::new(Arc::new(FakeStore::default()), config));
     let inner = Localization { locator, ..inner };

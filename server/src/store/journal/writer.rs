@@ -43,7 +43,7 @@ pub(super) struct JournalWriter {
 }
 
 /// Why a group is not on disk.
-enum Failure {
+enum WriteFailure {
     /// The file is as it was: the next group may succeed.
     Refused(io::Error),
     /// Nobody knows what the file holds.
@@ -88,7 +88,7 @@ impl JournalWriter {
             std::thread::sleep(std::time::Duration::from_millis(20));
         }
         let written = match &self.stopped {
-            Some(reason) => Err(Failure::Unknown(reason.clone())),
+            Some(reason) => Err(WriteFailure::Unknown(reason.clone())),
             None => self.roll(&group[0]).and_then(|()| self.write(&group)),
         };
         match written {
@@ -104,23 +104,23 @@ impl JournalWriter {
         }
     }
 
-    fn refuse(&mut self, group: Vec<Append>, failure: &Failure) {
+    fn refuse(&mut self, group: Vec<Append>, failure: &WriteFailure) {
         match failure {
-            Failure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
-            Failure::Unknown(reason) if self.stopped.is_none() => {
+            WriteFailure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
+            WriteFailure::Unknown(reason) if self.stopped.is_none() => {
                 tracing::error!(reason, "the journal stopped accepting writes");
                 self.stopped = Some(reason.clone());
             }
-            Failure::Unknown(_) => {}
+            WriteFailure::Unknown(_) => {}
         }
         for append in group {
             let error = match failure {
-                Failure::Refused(error) => {
+                WriteFailure::Refused(error) => {
                     // An `io::Error` cannot be cloned; its kind and words are what matters.
                     let source = io::Error::new(error.kind(), error.to_string());
                     Error::Io { doing: "writing the journal", source }
                 }
-                Failure::Unknown(reason) => Error::Stopped(reason.clone()),
+                WriteFailure::Unknown(reason) => Error::Stopped(reason.clone()),
             };
             append.span.in_scope(|| tracing::warn!("a record was not written"));
             let _ = append.done.send(Err(error));
@@ -128,7 +128,7 @@ impl JournalWriter {
     }
 
     /// Starts a new segment when the current one is full or of another day.
-    fn roll(&mut self, first: &Append) -> Result<(), Failure> {
+    fn roll(&mut self, first: &Append) -> Result<(), WriteFailure> {
         let another_day = self.day.is_some_and(|day| day != first.meta.day);
         let full = self.segment.length >= self.segment_bytes;
         if !full && (self.segment.first == self.next || !(another_day || first.fresh)) {
@@ -138,12 +138,12 @@ impl JournalWriter {
         match LogSegment::create(dir, *journal, self.next) {
             Ok(segment) => self.segment = segment,
             // Half a segment may be there now: a restart removes it.
-            Err(error) => return Err(Failure::Unknown(error.to_string())),
+            Err(error) => return Err(WriteFailure::Unknown(error.to_string())),
         }
         Ok(())
     }
 
-    fn write(&mut self, group: &[Append]) -> Result<Vec<Written>, Failure> {
+    fn write(&mut self, group: &[Append]) -> Result<Vec<Written>, WriteFailure> {
         let synced = self.next - 1;
         let mut bytes = Vec::with_capacity(group.iter().map(|a| RECORD_HEADER + a.payload.len()).sum());
         let mut written = Vec::with_capacity(group.len());
@@ -157,13 +157,13 @@ impl JournalWriter {
         if let Err(error) = self.segment.medium.append(&bytes) {
             // A full disk refuses here. Nothing of the group may stay: it would be read as written.
             return Err(match self.segment.medium.cut(self.segment.length) {
-                Ok(()) => Failure::Refused(error),
-                Err(cut) => Failure::Unknown(format!("{error}; {cut}")),
+                Ok(()) => WriteFailure::Refused(error),
+                Err(cut) => WriteFailure::Unknown(format!("{error}; {cut}")),
             });
         }
         if fault() != Some(Fault::AckBeforeSync) {
             // After a failed sync the kernel may have dropped the pages: no second sync can be believed.
-            self.segment.medium.sync().map_err(|error| Failure::Unknown(error.to_string()))?;
+            self.segment.medium.sync().map_err(|error| WriteFailure::Unknown(error.to_string()))?;
         }
         self.segment.length += bytes.len() as u64;
         self.next += group.len() as u64;

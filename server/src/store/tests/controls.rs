@@ -59,13 +59,13 @@ fn events() -> impl Strategy<Value = Vec<StoreAction>> {
 
 /// What is left, with the records' numbers.
 #[derive(Default)]
-struct Model {
+struct MapModel {
     left: Vec<(u64, UploadRecord)>,
     sent: Vec<UploadRecord>,
     records: u64,
 }
 
-impl Model {
+impl MapModel {
     fn uploads(&self) -> Vec<UploadRecord> {
         self.left.iter().map(|(_, upload)| upload.clone()).collect()
     }
@@ -94,7 +94,7 @@ proptest! {
     fn the_map_is_as_if_what_was_taken_back_never_came(events in events()) {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path());
-        let mut model = Model::default();
+        let mut model = MapModel::default();
         for event in events {
             match event {
                 StoreAction::Commit(upload) => {
