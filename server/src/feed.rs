@@ -16,9 +16,9 @@ const RECENT: usize = 500;
 pub struct FixEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
-    /// The verdict, in the contract's words without their prefix: `USABLE`, `AMBIGUOUS`, ...
+    /// The status, as the contract names it without the prefix: `USABLE`, `AMBIGUOUS`, ...
     pub status: &'static str,
-    /// In words, what the verdict rests on.
+    /// The sentence that gives the status' reason.
     pub reason: String,
     /// Corrected position, degrees north.
     pub latitude_deg: f64,
@@ -85,14 +85,14 @@ impl<T: Clone> Channel<T> {
         Self { recent: Mutex::new(VecDeque::with_capacity(RECENT)), live: broadcast::Sender::new(256) }
     }
 
-    /// Adds an event and sends it to whoever listens.
+    /// Adds an event and sends it to the listeners.
     pub fn publish(&self, event: T) {
         let mut recent = self.lock();
         if recent.len() == RECENT {
             recent.pop_front();
         }
         recent.push_back(event.clone());
-        // Nobody listening is no error.
+        // To have no listeners is no error.
         let _ = self.live.send(event);
     }
 

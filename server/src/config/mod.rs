@@ -36,7 +36,7 @@ pub enum Error {
         /// What the parser reported.
         reason: String,
     },
-    /// A key nobody knows.
+    /// A key that the shipped file does not have.
     #[error("{origin}: unknown key `{key}`{hint}")]
     UnknownKey {
         /// The file, environment variable or flag it came from.

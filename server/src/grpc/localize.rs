@@ -167,7 +167,7 @@ impl Localization {
     }
 
     fn refuse(&self, refusal: &LocateRefusal) -> Status {
-        // Without its words: they say where.
+        // Without its message, which holds a position.
         tracing::debug!(reason = reason(refusal), "not located");
         self.count(reason(refusal));
         refused(refusal)

@@ -49,7 +49,7 @@ pub fn store(error: &store::Error) -> Status {
         store::Error::Unusable(what) => Status::invalid_argument(what),
         store::Error::Io { .. } | store::Error::Stopped(_) => {
             tracing::error!(%error, "the store refuses");
-            // The words name files of the machine; the vehicle only needs to know when to come again.
+            // The message names files of the machine; the vehicle needs the time of its next attempt only.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))
         }
         store::Error::Tiles(_) | store::Error::Damaged { .. } | store::Error::InUse(_) => {

@@ -84,7 +84,7 @@ pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Res
 async fn send(mut body: BodyDataStream, sender: mpsc::Sender<io::Result<Bytes>>) {
     while let Some(chunk) = body.next().await {
         let chunk = chunk.map_err(|error| io::Error::other(error.to_string()));
-        // Nobody listens any more once the import has failed.
+        // The receiver is gone once the import has failed.
         if sender.send(chunk).await.is_err() {
             return;
         }
@@ -114,8 +114,8 @@ impl Read for ImportBody {
     }
 }
 
-/// A file that is sent while it is made. When making it fails, the connection breaks: nobody takes half a
-/// file for a whole one.
+/// A file that is sent while it is made. When making it fails, the connection breaks, so that half a
+/// file is not taken for a whole one.
 fn streamed(
     app: &App,
     kind: &'static str,

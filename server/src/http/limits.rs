@@ -55,7 +55,7 @@ fn with_safe_headers(mut response: Response) -> Response {
     response
 }
 
-/// Permits to work, so that a crowd of page views cannot take the machine from the vehicles.
+/// Permits to work, so that many page views cannot take the machine from the vehicles.
 pub struct Limiter {
     waiting: Arc<Semaphore>,
     working: Arc<Semaphore>,
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_crowd_is_turned_away_at_once() {
+    async fn requests_beyond_the_queue_are_refused_at_once() {
         let limiter = Limiter::new(1, 1, 1);
         let (release, wait) = std::sync::mpsc::channel::<()>();
         let busy = limiter.work(move || Ok(wait.recv().is_ok()));

@@ -78,7 +78,7 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
     Ok(([("x-accel-buffering", "no")], sse))
 }
 
-/// Events of a feed; a listener that was too slow hears how many it missed.
+/// Events of a feed; a listener that was too slow gets the number it missed.
 fn feed_events<T>(name: &'static str, feed: Receiver<T>) -> impl Stream<Item = Event>
 where
     T: Serialize + Clone + Send + 'static,

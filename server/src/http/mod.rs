@@ -1,7 +1,7 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
 //! - `error`: why a request was not answered, said once.
-//! - `limits`: what one request or a crowd may cost.
+//! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
 //! - `expectation`: what fixes in a tile can be expected to be.

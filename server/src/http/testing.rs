@@ -1,4 +1,4 @@
-//! A small map and a site that serves it, for the tests of this room.
+//! A small map and a site that serves it, for the tests of this module.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read, Write};

@@ -70,7 +70,7 @@ impl Expectations {
     /// Of fixes on a map that are searched and judged in this way.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, search: Search, integrity: Integrity) -> Self {
-        // From any of its spots, the tile and its neighbours are all that is looked at.
+        // From any of its spots, no more than the tile and its neighbours is needed.
         let most_m = TILE_M + 0.5 * SPOT_M - REACH_M;
         Self {
             store,
@@ -96,7 +96,7 @@ impl Expectations {
         if let Some(known) = self.known.get(&key) {
             return Ok(Some(known));
         }
-        // One at a time: whoever waited for the same tile finds it known.
+        // One at a time: a caller that waited for the same tile finds it cached.
         // A panic while holding the lock leaves buffers that the next assessment fills anew.
         let mut assessor = self.assessor.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = self.known.get(&key) {

@@ -47,7 +47,7 @@ pub struct LocateRequest {
     pub integrity_risk: Option<f64>,
 }
 
-/// An alignment in words a vehicle understands.
+/// An alignment with what a vehicle needs of it: geodetic pose, protection levels, the map it rests on.
 #[derive(Debug, Clone)]
 pub struct LocateAnswer {
     /// The alignment on the zone's grid.

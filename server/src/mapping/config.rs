@@ -34,9 +34,9 @@ pub struct MappingConfig {
     pub vet_shift_m: f64,
     /// An upload that is turned farther against the map is quarantined, degrees.
     pub vet_turn_deg: f64,
-    /// Days after which evidence that nobody confirms weighs half.
+    /// Days after which unconfirmed evidence weighs half.
     pub half_life_days: f64,
-    /// Days after which evidence that nobody confirms is not published any more.
+    /// Days after which unconfirmed evidence is not published any more.
     pub expire_days: u16,
     /// Older uploads are refused, days; 0 takes any age.
     pub max_age_days: u16,

@@ -29,7 +29,7 @@ impl Acceptor {
         Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake }
     }
 
-    /// The connections from now on, until nobody takes them any more.
+    /// The connections from now on, until the receiver is dropped.
     pub(super) fn open(self) -> ReceiverStream<Connection> {
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {

@@ -21,7 +21,7 @@ pub(super) async fn follow(shared: ServiceContext) {
     }
 }
 
-/// Why requests are not welcome. A new generation that is made beside a sound one hinders nobody.
+/// Why the service is not ready. A new generation that is made beside a sound one is no reason.
 fn hindrance(progress: &MapProgress) -> Option<String> {
     let MapProgress { state, epoch, journaled, stopped, .. } = *progress;
     if stopped {

@@ -202,7 +202,7 @@ pub async fn serve(
     server.run(shutdown).await
 }
 
-/// Whoever waits for the file sees all of it or nothing.
+/// Replaces the file in one step: a program that waits for it never reads half of it.
 fn write_whole(path: &Path, addresses: &Addresses) -> io::Result<()> {
     let unnamed = path.with_extension("new");
     std::fs::write(&unnamed, serde_json::to_vec(addresses)?)?;
@@ -216,7 +216,7 @@ async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener,
     Ok((listener, bound))
 }
 
-/// Resolves when the end is called, or nobody is left to call it.
+/// Resolves when the end is called, or its sender is gone.
 async fn ended(mut ending: watch::Receiver<bool>) {
     let _ = ending.wait_for(|ending| *ending).await;
 }

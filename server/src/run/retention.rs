@@ -7,7 +7,7 @@ use echofix_core::time::day_of;
 use super::ServiceContext;
 use crate::grpc::now_us;
 
-/// How often the day is looked at.
+/// How often it is checked.
 const TICK: Duration = Duration::from_hours(1);
 
 /// Compacts for as long as it is polled.

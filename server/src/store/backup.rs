@@ -1,4 +1,4 @@
-//! A backup: a data directory as a tar archive, made while the store goes on: key, checkpoint, and the journal up
+//! A backup: a data directory as a tar archive, made while the store is in use: key, checkpoint, and the journal up
 //! to what was on disk when it began. A store that is started on what the archive holds folds the same map.
 
 use std::fs::File;
@@ -56,7 +56,7 @@ fn put(out: &mut dyn Write, part: BackupPart) -> io::Result<()> {
 fn header(name: &str, length: u64) -> [u8; BLOCK] {
     let mut block = [0; BLOCK];
     block[..name.len()].copy_from_slice(name.as_bytes());
-    // The key makes contributors' hashes comparable: nobody else may read it.
+    // The key makes contributors' hashes comparable: only the owner may read it.
     block[100..108].copy_from_slice(b"0000600\0");
     block[108..116].copy_from_slice(b"0000000\0");
     block[116..124].copy_from_slice(b"0000000\0");

@@ -5,7 +5,7 @@
 //!    directory.
 //! 3. Tiles whose bytes are as they were keep their version; the others get the control's number.
 //! 4. The manifest names the new generation: from here on a restart serves it.
-//! 5. It is served, and then what nobody needs any more is deleted: the old generation, the old checkpoint, the
+//! 5. It is served, and then what is no longer needed is deleted: the old generation, the old checkpoint, the
 //!    compacted segments.
 //!
 //! A crash before step 4 leaves the old state and some files that the next start removes; one after it

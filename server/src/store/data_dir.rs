@@ -131,7 +131,7 @@ fn key(root: &Path) -> io::Result<[u8; 16]> {
     Ok(key)
 }
 
-/// Under a new key every contributor would count again, as somebody else.
+/// Under a new key every contributor would count again, as another one.
 fn key_is_missing(root: &Path) -> Error {
     Error::Damaged {
         what: format!("the data directory {}", root.display()),

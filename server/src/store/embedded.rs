@@ -216,7 +216,7 @@ impl MapStore for EmbeddedStore {
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
         let mut found = self.shared.readable()?.catalog().block(zone, &x, &y);
-        // That somebody drove there is nobody's business until enough did.
+        // That a contributor drove there is private until enough did.
         found.retain(|info| info.cells > 0);
         Ok(found)
     }

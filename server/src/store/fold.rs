@@ -125,8 +125,8 @@ pub(super) struct CountedRecords<'a> {
     pub(super) buffer_tiles: usize,
 }
 
-/// Folds the records after `folded` up to `last`, but for the excluded ones. `report` hears of every step
-/// and ends it all by answering false; the number of the last record folded is returned.
+/// Folds the records after `folded` up to `last`, but for the excluded ones. `report` is called before every step
+/// and ends the replay by returning false; the number of the last record folded is returned.
 pub(super) fn replay(
     records: &CountedRecords<'_>,
     sink: &mut impl Sink,

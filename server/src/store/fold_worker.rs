@@ -83,7 +83,7 @@ impl FoldWorker {
         Ok(true)
     }
 
-    /// After a failure nobody knows what sled holds.
+    /// After a failure it is uncertain what sled holds.
     fn look_again(&mut self, shared: &StoreContext) {
         let Some(on) = &self.on else { return };
         match on.look_again() {

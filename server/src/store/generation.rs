@@ -155,7 +155,7 @@ impl Generation {
         Ok(())
     }
 
-    /// Looks again at what is stored, after a failure that left it uncertain. Returns the last record.
+    /// Reads the catalog again, after a failure that left it uncertain what is stored. Returns the last record.
     pub(super) fn look_again(&self) -> Result<u64, TilesError> {
         let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
         *self.catalog_mut() = catalog;
@@ -167,7 +167,7 @@ impl Generation {
         self.catalog().all().map(|info| info.id).collect()
     }
 
-    /// Removes the directory once nobody reads it any more.
+    /// Removes the directory once it has no readers any more.
     pub(super) fn retire(&self) {
         self.dir.retired.store(true, Ordering::Release);
     }

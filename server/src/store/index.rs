@@ -73,11 +73,11 @@ pub(super) enum NextFold {
     Build,
 }
 
-/// Who may write an upload.
+/// The answer to a request for the right to write an upload.
 pub(super) enum Reserved<'a> {
-    /// Nobody: it is in the journal.
+    /// It is in the journal already.
     Counted(Written),
-    /// The caller, while it holds this.
+    /// The caller may write it while it holds this.
     New(Reservation<'a>),
 }
 
@@ -125,7 +125,7 @@ impl JournalIndex {
         (number + 1..=state.newest()).any(|at| state.kind(at) == Some(kind))
     }
 
-    /// A journal without records goes on after this number.
+    /// The number before that of the first record of a journal without any.
     pub(super) fn begin_after(&self, number: u64) {
         let mut state = self.lock();
         if state.records.is_empty() {
@@ -250,7 +250,7 @@ impl JournalIndex {
     /// with it: the segments up to it can go. `None` when there is no such record.
     pub(super) fn last_before(&self, day: u16) -> Option<u64> {
         let state = self.lock();
-        // A clock that was set back leaves days of no order: the cut is made before the first young segment, which
+        // A clock that was set back leaves days of no order: the cut is made before the first segment of that day or a later one, which
         // is named by its first record.
         let young = state.runs.iter().find(|run| run.day >= day);
         let last = young.map_or(state.newest(), |run| run.segment - 1);
@@ -330,7 +330,7 @@ impl JournalIndex {
         self.lock().ended
     }
 
-    /// Wakes whoever waits in [`JournalIndex::next`] for the last time.
+    /// Wakes the threads that wait in [`JournalIndex::next`] for the last time.
     pub(super) fn end(&self) {
         self.lock().ended = true;
         self.changed.notify_all();

@@ -247,7 +247,7 @@ pub trait MapStore: Send + Sync {
     fn contributor(&self, pseudonym: &str) -> u64;
 
     /// Distinguishes this history of the map from others that may give its versions to other tiles: drawn anew where a
-    /// backup is restored, and where the manifest was deleted for the map to go on in another way.
+    /// backup is restored, and where the manifest was deleted to continue the map without lost records.
     fn lineage(&self) -> u64;
 
     /// The wire version: equal ones stand for equal evidence, of whichever lineage they are.

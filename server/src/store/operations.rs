@@ -73,7 +73,7 @@ pub trait Operations: Send + Sync {
     /// When the file is not whole and sound, nothing of it counts then; or the journal cannot be written.
     fn import(&self, file: &mut dyn Read) -> Result<Imported, Error>;
 
-    /// Writes a consistent copy of the store as a tar archive while it goes on; returns the bytes of its
+    /// Writes a backup: a consistent copy of the store as a tar archive, made while it is in use; returns the bytes of its
     /// files. It holds the key that contributors are hashed with: keep it as secret as the store itself.
     ///
     /// # Errors

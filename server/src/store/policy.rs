@@ -12,8 +12,8 @@ use echofix_core::tile::{Decay, Tile};
 use echofix_core::vetting::Limits;
 use siphasher::sip::SipHasher24;
 
-/// Raised by whoever changes what folding makes of the same journal under the same policy, be it by a byte of the weights
-/// that uploads are compared with: maps are then folded anew, under a new lineage. A test in `tests/folding.rs` fails then.
+/// To be raised with every change of what folding makes of the same journal under the same policy, be it by a byte of the
+/// weights that uploads are compared with: maps are then folded anew, under a new lineage. A test in `tests/folding.rs` fails then.
 pub(super) const FOLDING: u32 = 1;
 
 /// Which evidence counts, and what of it is published.
@@ -21,7 +21,7 @@ pub(super) const FOLDING: u32 = 1;
 pub struct Policy {
     /// Distinct contributors that must have seen something near a cell for it to be published.
     pub publish_contributors: u8,
-    /// How evidence that nobody confirms loses its worth; without, it keeps it. Days are counted back from
+    /// Decay: how unconfirmed evidence loses its worth; without, it does not. Days are counted back from
     /// the newest day of the map: it needs no clock, and maps of recorded drives do not fade.
     pub decay: Option<Decay>,
     /// How far an upload may be off the map that exists; without, everything counts.

@@ -212,7 +212,7 @@ fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
 
 /// Waits while an instance of this process that was just dropped still holds the files: sled's threads end a little
 /// later, and with them its lock goes. No other process has them, see [`super::data_dir`], and who drops an instance
-/// to open the next is one thread. So whoever got the lock for a moment here can leave it to sled. What is held for
+/// to open the next is one thread. So a lock that could be had for a moment here is free for sled. What is held for
 /// longer, sled itself refuses.
 fn wait_until_unlocked(dir: &Path) {
     // sled 0.34 holds the lock of flock(2), as `File::try_lock` takes it, on this file.

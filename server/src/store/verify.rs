@@ -20,7 +20,7 @@ pub struct Verified {
     pub tiles: u64,
     /// Tiles that were compared with a replay; `None` when none was asked for.
     pub compared: Option<u64>,
-    /// What is wrong, in words. Empty when all is well.
+    /// One sentence for each defect; empty when all is sound.
     pub damage: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! The tiles that a group of records changes, while they are folded.
+//! The write buffer: the tiles that a group of records reads and changes while they are folded.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -32,7 +32,7 @@ impl Source for InMemory {
     }
 }
 
-/// A map, and in memory the tiles of it that were looked at or changed.
+/// A map, and in memory the tiles of it that were read or changed.
 pub(super) struct WriteBuffer<'a> {
     source: &'a dyn Source,
     /// Tiles from which on they are written before more is folded.
@@ -52,7 +52,7 @@ impl<'a> WriteBuffer<'a> {
         Self { source, capacity, tiles: BTreeMap::new(), nothing: Folded::default() }
     }
 
-    /// Is it time to write what is in it?
+    /// Must its tiles be written before more is folded?
     pub(super) fn is_full(&self) -> bool {
         self.tiles.len() >= self.capacity
     }
@@ -84,7 +84,7 @@ impl<'a> WriteBuffer<'a> {
         }
     }
 
-    /// A tile that was looked at before; `None` where there is none, too.
+    /// A tile that was read before; `None` also where there is none.
     pub(super) fn looked_at(&self, id: TileId) -> Option<&Folded> {
         self.tiles.get(&id).map(|touched| &touched.folded)
     }

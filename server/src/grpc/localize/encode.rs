@@ -1,4 +1,4 @@
-//! Answers and refusals in the contract's words.
+//! Fixes and refusals as messages of the contract.
 
 use std::time::Duration;
 
@@ -115,7 +115,7 @@ fn diagnostics(answer: &LocateAnswer, batch: &BatchFacts) -> Diagnostics {
     }
 }
 
-/// The status and, in words, what it rests on.
+/// The status and the sentence that gives its reason.
 fn judged(answer: &LocateAnswer, alert_limit_m: f64) -> (FixStatus, String) {
     let horizontal_m = answer.protection.horizontal_m();
     // A level that is no number is within no limit.
@@ -129,7 +129,7 @@ fn judged(answer: &LocateAnswer, alert_limit_m: f64) -> (FixStatus, String) {
     status_and_reason(&answer.alignment)
 }
 
-/// A verdict in the contract's words.
+/// A verdict as a status of the contract.
 fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
     let percent = |fraction: f64| fraction * 100.0;
     match alignment.verdict {

@@ -90,7 +90,7 @@ async fn an_answer_that_the_exact_engine_finds_too_is_counted_as_agreed() {
     assert_eq!(checked(|answer| answer.alignment.correction = Pose2::IDENTITY).await, [1, 0]);
 }
 
-/// Catches a fast engine whose misses nobody hears of: breaks when any two answers agree.
+/// Catches a fast engine whose misses are not counted: breaks when any two answers agree.
 #[tokio::test]
 async fn an_answer_on_another_maximum_is_counted_as_a_disagreement() {
     assert_eq!(checked(|answer| answer.found.x_m += 1.0).await, [0, 1]);

@@ -87,7 +87,7 @@ impl Artist {
     /// When the store refuses.
     pub fn overview(&self) -> Result<Arc<Overview>, Error> {
         let epoch = self.store.progress().borrow().epoch;
-        // Held while it is made: a crowd waits for one instead of making many.
+        // Held while it is made: requests at the same time wait for one instead of making many.
         let mut cached = lock(&self.overview);
         if let Some((made, overview)) = &*cached
             && (overview.epoch == epoch || made.elapsed() < OVERVIEW_EVERY)

@@ -46,7 +46,7 @@ pub(super) struct JournalWriter {
 enum WriteFailure {
     /// The file is as it was: the next group may succeed.
     Refused(io::Error),
-    /// Nobody knows what the file holds.
+    /// It is unknown what the file holds.
     Unknown(String),
 }
 
@@ -116,7 +116,7 @@ impl JournalWriter {
         for append in group {
             let error = match failure {
                 WriteFailure::Refused(error) => {
-                    // An `io::Error` cannot be cloned; its kind and words are what matters.
+                    // An `io::Error` cannot be cloned; its kind and message are what matters.
                     let source = io::Error::new(error.kind(), error.to_string());
                     Error::Io { doing: "writing the journal", source }
                 }

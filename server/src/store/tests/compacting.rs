@@ -72,7 +72,7 @@ fn compacted_uploads_cannot_be_taken_back_and_the_others_can() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let mut uploads = by_cars(&store, some_uploads(30));
-    // Whoever comes again after a compaction is not recognised, and counts as one more contributor.
+    // A contributor that comes again after a compaction is not recognised, and counts as one more contributor.
     uploads[10..].iter_mut().for_each(|upload| upload.pass.contributor ^= 1 << 63);
     commit_on(&store, 100, &uploads[..10]);
     let revoked = store.revoke_upload(uploads[2].id).unwrap();
