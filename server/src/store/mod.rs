@@ -1,16 +1,16 @@
 //! The map and the journal it is folded from.
 //!
-//! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
+//! An upload is acknowledged once its record is in the journal and synced. Tiles are folded
 //! from the journal in its order, and can be folded again from nothing. The embedded default has
 //! the journal in checksummed segment files and the tiles in sled.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
-//!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
+//!   lock, key), `options` and `clock`, `checksum`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
 //!   `exclusion` (which of them count), `checkpoint` (what stands for compacted records), `key`, `pieces` and `tiles` (sled),
-//!   `generation` and `catalog`, `buffer` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
-//!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
+//!   `generation` and `catalog`, `write_buffer` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
+//!   `manifest` (which one is served), `fold_worker` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
 //!
 //! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
