@@ -16,6 +16,7 @@
 //! - [`evidence`]: what a map cell knows; the evidence delta of an upload, and how it is built from scans
 //!   and poses; the inverse sensor model.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
+//! - [`time`]: microseconds and days.
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
@@ -39,6 +40,7 @@ pub mod pose;
 pub mod scan;
 mod sealed;
 pub mod tile;
+pub mod time;
 pub mod varint;
 pub mod vetting;
 pub mod window;

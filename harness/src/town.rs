@@ -1,10 +1,9 @@
 //! Drives in a simulated town, at nine in the morning of a day.
 
 use echofix_core::drive::Drive;
+use echofix_core::time::DAY_US;
 use echofix_sim::{City, DriveParams, Error, Route, simulate};
 
-/// Microseconds of a day.
-const DAY_US: i64 = 86_400_000_000;
 /// Day 0 of the town, counted from the Unix epoch: 2026-01-01.
 const FIRST_DAY: i64 = 20_454;
 

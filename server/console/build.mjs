@@ -29,7 +29,7 @@ const bundle = (options) =>
 const outputOf = ({ metafile }, ending) =>
   basename(Object.keys(metafile.outputs).find((name) => name.endsWith(ending)));
 
-// The map library's worker is a script of its own; the page is told its hashed name.
+// The map library's worker is a script of its own; the page gets its hashed name.
 const worker = await bundle({ entryPoints: { worker: 'maplibre-gl/dist/maplibre-gl-worker.mjs' } });
 const page = await bundle({
   entryPoints: { console: 'src/main.js' },

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use echofix_core::evidence::codec;
 use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence};
 use echofix_core::geo::{TileId, Zone};
-use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy, Upload};
+use echofix_server::store::{EmbeddedStore, MapStore, Options, Policy, UploadRecord};
 use uuid::Uuid;
 
 const TILES: i32 = 12;
@@ -22,7 +22,7 @@ const TIME: Duration = Duration::from_secs(5);
 /// Uploads that are folded, to see how fast that is.
 const FOLDED: u32 = 1000;
 
-fn upload(zone: Zone, number: u32) -> Upload {
+fn upload(zone: Zone, number: u32) -> UploadRecord {
     let hits = |i: u32| CellHits { index: i * 600 + number % 600, hits: 2, offset_sum: [100 + i % 99, 300] };
     // A drive through a neighbourhood of its own; every fiftieth drive is the same.
     let home = (number % 50) as i32 * TILES;
@@ -31,7 +31,7 @@ fn upload(zone: Zone, number: u32) -> Upload {
     let contribution =
         EvidenceDelta { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
     let pass = Pass { day: 20_000 + (number / 1000) as u16, contributor: u64::from(number) };
-    Upload { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
+    UploadRecord { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
 }
 
 /// How often work can be done in a second.
@@ -47,7 +47,7 @@ fn rate(mut work: impl FnMut(u32) -> Result<(), Box<dyn Error>>) -> Result<f64, 
 /// Uploads a second that a plain file and plain sled take, one at a time.
 fn plain(dir: &Path, zone: Zone) -> Result<[f64; 2], Box<dyn Error>> {
     let bytes = |number| {
-        let Upload { contribution, answer, .. } = upload(zone, number);
+        let UploadRecord { contribution, answer, .. } = upload(zone, number);
         [codec::encode(&contribution), answer].concat()
     };
     let mut file = File::create(dir.join("plain"))?;
@@ -85,15 +85,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A store of its own, removed with what it holds afterwards. It takes what it is told without vetting it.
+/// A store of its own, removed with what it holds afterwards. It takes uploads without vetting them.
 fn with_store<T>(data_dir: &Path, work: impl FnOnce(&EmbeddedStore) -> T) -> Result<T, Box<dyn Error>> {
     let data_dir = data_dir.join("store");
-    let options = Options {
-        data_dir: data_dir.clone(),
-        cache_bytes: 256 << 20,
-        segment_bytes: 64 << 20,
-        policy: Policy::trusting(),
-    };
+    let options = Options::new(data_dir.clone(), Policy::trusting());
     let done = work(&EmbeddedStore::open(&options)?);
     std::fs::remove_dir_all(data_dir)?;
     Ok(done)

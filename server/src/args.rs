@@ -7,7 +7,7 @@ use clap::Args;
 
 use crate::config::{Config, Error, Sources};
 
-/// What the service can be told on its command line.
+/// The service's command line.
 #[derive(Debug, Clone, Default, Args)]
 pub struct ServeArgs {
     /// File with the configuration keys to change; without it the defaults hold
@@ -66,11 +66,16 @@ impl ServeArgs {
     }
 }
 
+/// A setting that is not written as one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("expected SECTION.KEY=VALUE")]
+pub struct SettingError;
+
 /// The key and the value of a setting.
 ///
 /// # Errors
 /// What was expected, where there is no equals sign.
-pub fn key_and_value(text: &str) -> Result<(String, String), String> {
-    let (key, value) = text.split_once('=').ok_or("expected SECTION.KEY=VALUE")?;
+pub fn key_and_value(text: &str) -> Result<(String, String), SettingError> {
+    let (key, value) = text.split_once('=').ok_or(SettingError)?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }

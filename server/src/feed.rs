@@ -8,17 +8,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use tokio::sync::broadcast;
 
-/// Events kept for a page that opens late.
-const KEPT: usize = 500;
+/// Events in memory for a page that opens late.
+const RECENT: usize = 500;
 
 /// An answer to a localization request.
 #[derive(Debug, Clone, Serialize)]
 pub struct FixEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
-    /// The verdict, in the contract's words without their prefix: `USABLE`, `AMBIGUOUS`, ...
+    /// The status, as the contract names it without the prefix: `USABLE`, `AMBIGUOUS`, ...
     pub status: &'static str,
-    /// In words, what the verdict rests on.
+    /// The sentence that gives the status' reason.
     pub reason: String,
     /// Corrected position, degrees north.
     pub latitude_deg: f64,
@@ -45,7 +45,7 @@ pub struct FixEvent {
 pub struct UploadEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
-    /// The upload's id.
+    /// The id that the contributor chose.
     pub upload_id: String,
     /// `COUNTED`, `DUPLICATE` or the reason of the refusal.
     pub outcome: String,
@@ -60,11 +60,11 @@ pub struct UploadEvent {
     pub epoch: u64,
 }
 
-/// The two feeds.
+/// The last fixes and the last uploads.
 pub struct Feed {
-    /// Fixes.
+    /// Answers to localization requests.
     pub fixes: Channel<FixEvent>,
-    /// Uploads.
+    /// Uploads that were counted or refused.
     pub uploads: Channel<UploadEvent>,
 }
 
@@ -82,17 +82,17 @@ pub struct Channel<T> {
 
 impl<T: Clone> Channel<T> {
     fn new() -> Self {
-        Self { recent: Mutex::new(VecDeque::with_capacity(KEPT)), live: broadcast::Sender::new(256) }
+        Self { recent: Mutex::new(VecDeque::with_capacity(RECENT)), live: broadcast::Sender::new(256) }
     }
 
-    /// Adds an event and sends it to whoever listens.
+    /// Adds an event and sends it to the listeners.
     pub fn publish(&self, event: T) {
         let mut recent = self.lock();
-        if recent.len() == KEPT {
+        if recent.len() == RECENT {
             recent.pop_front();
         }
         recent.push_back(event.clone());
-        // Nobody listening is no error.
+        // To have no listeners is no error.
         let _ = self.live.send(event);
     }
 
@@ -121,9 +121,9 @@ mod tests {
     fn the_memory_is_bounded_and_keeps_the_newest() {
         let channel = Channel::new();
         let mut listener = channel.subscribe();
-        (0..KEPT + 10).for_each(|i| channel.publish(i));
-        assert_eq!(channel.recent(2), [KEPT + 8, KEPT + 9]);
-        assert_eq!(channel.recent(usize::MAX).len(), KEPT);
-        assert!(listener.try_recv().is_err(), "a listener that slept is told that it missed events");
+        (0..RECENT + 10).for_each(|i| channel.publish(i));
+        assert_eq!(channel.recent(2), [RECENT + 8, RECENT + 9]);
+        assert_eq!(channel.recent(usize::MAX).len(), RECENT);
+        assert!(listener.try_recv().is_err(), "a listener that slept learns that it missed events");
     }
 }

@@ -11,7 +11,7 @@ pub enum Readiness {
     NotReady(String),
 }
 
-/// The service's readiness, set by whoever knows and followed by whoever tells.
+/// The service's readiness, set by what knows it and followed by what answers probes.
 pub struct Health {
     state: watch::Sender<Readiness>,
 }

@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Nobody is left to tell when standard error is gone.
+            // Without standard error there is nowhere to report it.
             let _ = writeln!(std::io::stderr(), "echofix-server: {error}");
             ExitCode::FAILURE
         }

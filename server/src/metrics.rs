@@ -10,7 +10,7 @@ use prometheus_client::registry::{Registry, Unit};
 
 /// What came of a request: a verdict, `COUNTED`, or the reason of a refusal.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub struct Outcome {
+pub struct OutcomeLabel {
     /// One of a fixed set of words.
     pub outcome: &'static str,
 }
@@ -19,9 +19,9 @@ pub struct Outcome {
 pub struct Metrics {
     registry: Registry,
     /// Localization requests by outcome.
-    pub fixes: Family<Outcome, Counter>,
+    pub fixes: Family<OutcomeLabel, Counter>,
     /// Uploads by outcome.
-    pub uploads: Family<Outcome, Counter>,
+    pub uploads: Family<OutcomeLabel, Counter>,
     /// Seconds spent aligning a batch.
     pub align_seconds: Histogram,
     /// Seconds a localization request waited for a compute slot.
@@ -29,12 +29,12 @@ pub struct Metrics {
     /// Seconds from an upload's last byte to its acknowledgement.
     pub commit_seconds: Histogram,
     /// Requests whose tiles were all in the cache, and others, by outcome `hit` and `miss`.
-    pub windows: Family<Outcome, Counter>,
-    /// Answers asked again of the exhaustive engine, by outcome `agree` and `differ`.
-    pub confirmations: Family<Outcome, Counter>,
+    pub windows: Family<OutcomeLabel, Counter>,
+    /// Sampled checks by outcome: the exact engine agrees (`agree`) or does not (`differ`).
+    pub confirmations: Family<OutcomeLabel, Counter>,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
-    /// Contributions in the journal that are not folded yet.
+    /// Uploads in the journal that are not folded yet.
     pub unfolded: Gauge,
 }
 
@@ -70,14 +70,10 @@ impl Metrics {
         seconds("queue", "Time a localization request waited for a compute slot", &self.queue_seconds);
         seconds("commit", "Time from an upload's last byte to its acknowledgement", &self.commit_seconds);
         r.register("windows", "Requests by whether all their tiles were prepared", self.windows.clone());
-        let again = "Answers asked again of the exhaustive engine";
-        r.register("confirmations", again, self.confirmations.clone());
+        let help = "Sampled checks: answers repeated with an exact engine, by outcome";
+        r.register("confirmations", help, self.confirmations.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
-        r.register(
-            "unfolded_contributions",
-            "Contributions in the journal not folded yet",
-            self.unfolded.clone(),
-        );
+        r.register("unfolded_contributions", "Uploads in the journal not folded yet", self.unfolded.clone());
     }
 
     /// All metrics as OpenMetrics text.
@@ -98,7 +94,7 @@ mod tests {
     #[test]
     fn what_was_counted_is_rendered() {
         let metrics = Metrics::default();
-        metrics.fixes.get_or_create(&Outcome { outcome: "USABLE" }).inc();
+        metrics.fixes.get_or_create(&OutcomeLabel { outcome: "USABLE" }).inc();
         metrics.align_seconds.observe(0.01);
         let text = metrics.render();
         assert!(text.contains("echofix_fixes_total{outcome=\"USABLE\"} 1"), "{text}");

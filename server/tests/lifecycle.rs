@@ -6,7 +6,7 @@ mod common;
 
 use std::time::{Duration, Instant};
 
-use common::{Running, config, drive};
+use common::{TestServer, config, drive};
 use echofix_server::run::{Error, Server, serve};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -18,7 +18,7 @@ use uuid::Uuid;
 #[tokio::test]
 async fn health_serves_when_ready_and_a_watcher_sees_the_end() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::with(dir.path(), &[("limits.shutdown_s", "1")]).await;
+    let server = TestServer::with(dir.path(), &[("limits.shutdown_s", "1")]).await;
     let mut client = HealthClient::new(server.channel().await);
     let request = HealthCheckRequest { service: "echofix.v1.MapService".to_owned() };
     let mut watch = client.watch(request).await.unwrap().into_inner();
@@ -36,7 +36,7 @@ async fn health_serves_when_ready_and_a_watcher_sees_the_end() {
 #[tokio::test]
 async fn silent_and_dribbling_connections_are_closed_on_both_ports() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::with(dir.path(), &[("limits.handshake_s", "1")]).await;
+    let server = TestServer::with(dir.path(), &[("limits.handshake_s", "1")]).await;
     for address in [server.grpc, server.http] {
         for first in [&b""[..], b"P", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\r\n"] {
             let mut stream = TcpStream::connect(address).await.unwrap();
@@ -53,7 +53,7 @@ async fn silent_and_dribbling_connections_are_closed_on_both_ports() {
 #[tokio::test]
 async fn connections_beyond_the_cap_are_closed_and_the_others_served() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::with(dir.path(), &[("limits.connections", "2")]).await;
+    let server = TestServer::with(dir.path(), &[("limits.connections", "2")]).await;
     let _held =
         [TcpStream::connect(server.grpc).await.unwrap(), TcpStream::connect(server.grpc).await.unwrap()];
     let mut third = TcpStream::connect(server.grpc).await.unwrap();
@@ -74,7 +74,7 @@ async fn http_get(address: std::net::SocketAddr, path: &str) -> String {
 }
 
 #[tokio::test]
-async fn a_taken_port_and_a_taken_directory_are_told() {
+async fn a_taken_port_and_a_taken_directory_are_reported() {
     let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let first = Server::bind(config(dir.path(), &[])).await.unwrap();
     let taken = first.grpc_addr().to_string();

@@ -7,8 +7,9 @@ mod common;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use common::{NOON_US, Running, chunk, chunk_of, drive, header, header_of};
+use common::{NOON_US, TestServer, chunk, chunk_of, drive, header, header_of};
 use echofix_core::tile;
+use echofix_core::time::{DAY_US, day_of};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::get_tiles_response::Part;
 use echofix_proto::v1::{
@@ -20,9 +21,9 @@ use tonic_types::StatusExt;
 use uuid::Uuid;
 
 /// A change that spoils an upload.
-type Spoil = fn(&mut Vec<UploadRequest>);
+type UploadChange = fn(&mut Vec<UploadRequest>);
 /// The same with something captured.
-type SpoilWith<'a> = &'a dyn Fn(&mut Vec<UploadRequest>);
+type UploadChangeWith<'a> = &'a dyn Fn(&mut Vec<UploadRequest>);
 
 const AUSTIN: (f64, f64) = (30.2672, -97.7431);
 
@@ -30,7 +31,10 @@ fn austin(id: u128) -> Vec<UploadRequest> {
     drive(Uuid::from_u128(id), AUSTIN.0, AUSTIN.1)
 }
 
-async fn tiles(server: &Running, request: GetTilesRequest) -> Result<(Vec<TileData>, TilesSummary), Status> {
+async fn tiles(
+    server: &TestServer,
+    request: GetTilesRequest,
+) -> Result<(Vec<TileData>, TilesSummary), Status> {
     let mut stream = server.map().await.get_tiles(request).await?.into_inner();
     let mut tiles = Vec::new();
     while let Some(message) = stream.message().await? {
@@ -59,7 +63,7 @@ fn by_area(west_deg: f64, east_deg: f64) -> GetTilesRequest {
 }
 
 /// The tiles of an upload once the map shows it.
-async fn shown(server: &Running, upload: &UploadResponse) -> Vec<TileData> {
+async fn shown(server: &TestServer, upload: &UploadResponse) -> Vec<TileData> {
     let ids: Vec<_> = upload.tiles.iter().map(|tile| tile.tile.unwrap()).collect();
     let deadline = Instant::now() + Duration::from_secs(10);
     loop {
@@ -75,12 +79,12 @@ async fn shown(server: &Running, upload: &UploadResponse) -> Vec<TileData> {
 #[tokio::test]
 async fn an_upload_comes_back_as_tiles() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path()).await;
+    let server = TestServer::start(dir.path()).await;
     let answer = server.upload(austin(1)).await.unwrap();
     assert_eq!((answer.detections_counted, answer.epoch, answer.duplicate), (63, 1, false));
     assert_eq!(answer.dropped.unwrap(), DroppedDetections::default());
-    let told: u32 = answer.tiles.iter().map(|tile| tile.detections).sum();
-    assert_eq!(told, 63);
+    let detections: u32 = answer.tiles.iter().map(|tile| tile.detections).sum();
+    assert_eq!(detections, 63);
 
     let tiles_shown = shown(&server, &answer).await;
     let hits: u32 = tiles_shown
@@ -109,7 +113,7 @@ async fn an_upload_comes_back_as_tiles() {
         expectations: false,
     };
     let coverage = server.map().await.get_coverage(route).await.unwrap().into_inner();
-    let day = (NOON_US / 86_400_000_000) as u32;
+    let day = u32::from(day_of(NOON_US));
     assert!(coverage.cells[0] > 20 && coverage.cells[1..] == [0, 0], "{coverage:?}");
     assert_eq!(coverage.newest_day, [day, 0, 0]);
     server.stop().await;
@@ -118,7 +122,7 @@ async fn an_upload_comes_back_as_tiles() {
 #[tokio::test]
 async fn a_retry_counts_once_also_across_a_restart() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path()).await;
+    let server = TestServer::start(dir.path()).await;
     let first = server.upload(austin(1)).await.unwrap();
     let expected = UploadResponse { duplicate: true, ..first.clone() };
     let retries = (0..6).map(|_| server.upload(austin(1)));
@@ -130,7 +134,7 @@ async fn a_retry_counts_once_also_across_a_restart() {
     let before = shown(&server, &first).await;
     server.stop().await;
 
-    let server = Running::start(dir.path()).await;
+    let server = TestServer::start(dir.path()).await;
     assert_eq!(server.upload(austin(1)).await.unwrap(), expected);
     assert_eq!(shown(&server, &first).await, before);
     server.stop().await;
@@ -139,7 +143,7 @@ async fn a_retry_counts_once_also_across_a_restart() {
 #[tokio::test]
 async fn one_id_sent_at_once_by_many_counts_once() {
     let dir = tempfile::tempdir().unwrap();
-    let server = std::sync::Arc::new(Running::start(dir.path()).await);
+    let server = std::sync::Arc::new(TestServer::start(dir.path()).await);
     let tasks: Vec<_> = (0..8)
         .map(|_| {
             let server = server.clone();
@@ -158,7 +162,7 @@ async fn one_id_sent_at_once_by_many_counts_once() {
 #[tokio::test]
 async fn near_a_zone_border_both_zones_learn_and_detections_count_once() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path()).await;
+    let server = TestServer::start(dir.path()).await;
     let answer = server.upload(drive(Uuid::from_u128(1), 51.0, 5.999)).await.unwrap();
     assert_eq!(answer.detections_counted, 63);
     let zones: BTreeSet<u32> = answer.tiles.iter().map(|tile| tile.tile.unwrap().epsg).collect();
@@ -169,8 +173,8 @@ async fn near_a_zone_border_both_zones_learn_and_detections_count_once() {
 #[tokio::test]
 async fn malformed_uploads_name_the_field() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path()).await;
-    let cases: [(&str, Spoil); 12] = [
+    let server = TestServer::start(dir.path()).await;
+    let cases: [(&str, UploadChange); 12] = [
         ("header", |m| drop(m.remove(0))),
         ("header", |m| m.push(header(Uuid::nil()))),
         ("chunk", |m| m.truncate(1)),
@@ -197,12 +201,12 @@ async fn malformed_uploads_name_the_field() {
 #[tokio::test]
 async fn unusable_uploads_are_refused_with_their_reason() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::with(dir.path(), &[("mapping.max_age_days", "3")]).await;
+    let server = TestServer::with(dir.path(), &[("mapping.max_age_days", "3")]).await;
     let days = |days: i64| {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
-        now.as_micros() as i64 - days * 86_400_000_000
+        now.as_micros() as i64 - days * DAY_US
     };
-    let cases: [(&str, SpoilWith); 6] = [
+    let cases: [(&str, UploadChangeWith); 6] = [
         ("POSE_TOO_UNCERTAIN", &|m| chunk_of(m).0.sigma_position_m.fill(0.5)),
         ("TOO_SLOW", &|m| chunk_of(m).0.latitude_deg.fill(AUSTIN.0)),
         ("NO_DETECTIONS", &|m| {
@@ -234,7 +238,7 @@ async fn unusable_uploads_are_refused_with_their_reason() {
 #[tokio::test]
 async fn uploads_and_questions_are_bounded() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::with(dir.path(), &[("mapping.max_upload_detections", "100")]).await;
+    let server = TestServer::with(dir.path(), &[("mapping.max_upload_detections", "100")]).await;
     let mut messages = austin(1);
     messages.push(messages[1].clone());
     let status = server.upload(messages).await.unwrap_err();

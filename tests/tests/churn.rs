@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::time::DAY_US;
 use echofix_proto::v1::UploadRequest;
 use echofix_tests::mapping::{folded, send};
 use echofix_tests::service::Service;
@@ -34,7 +35,6 @@ const THINGS: usize = 20_000;
 const VEHICLES: u32 = 8;
 /// Contributors; each comes once a day.
 const CONTRIBUTORS: u32 = 50;
-const DAY_US: i64 = 86_400_000_000;
 const FIRST_US: i64 = 20_454 * DAY_US;
 /// What sled may take beyond, however little it holds, bytes.
 const FLOOR: u64 = 16 << 20;

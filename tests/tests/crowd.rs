@@ -8,6 +8,7 @@ use echofix_client::upload::PreparedUpload;
 use echofix_core::drive::Drive;
 use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
+use echofix_core::time::DAY_US;
 use echofix_sim::City;
 use echofix_tests::asking;
 use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turned, upload};
@@ -20,7 +21,6 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use uuid::Uuid;
 
-const DAY_US: i64 = 86_400_000_000;
 const THREE: &str = "mapping.publish_contributors=3";
 
 fn the_town() -> City {

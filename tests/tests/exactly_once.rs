@@ -8,6 +8,7 @@ use std::time::Duration;
 use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence, VIEW_BLOCKS};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile;
+use echofix_core::time::DAY_US;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
 use echofix_tests::mapping::{folded, send};
 use echofix_tests::service::Service;
@@ -21,7 +22,7 @@ use uuid::Uuid;
 const BLOCKS: u32 = 32;
 const SIDE: u32 = 16;
 /// 2026-01-01.
-const FIRST_US: i64 = 20_454 * 86_400_000_000;
+const FIRST_US: i64 = 20_454 * DAY_US;
 
 fn steps() -> u32 {
     std::env::var("ECHOFIX_STEPS").map_or(40, |text| text.parse().expect("ECHOFIX_STEPS is a number"))
@@ -48,7 +49,7 @@ fn parts(seed: u64, number: u32, hits: u32) -> Vec<UploadRequest> {
     let contribution = EvidenceDelta { tiles: [(tile, share)].into(), detections };
     let (contributor, day) = (format!("car-{}", number % 7), i64::from(number % 3));
     let id = Uuid::from_u64_pair(seed, u64::from(number));
-    crowd::upload(id, &contributor, FIRST_US + day * 86_400_000_000, &contribution)
+    crowd::upload(id, &contributor, FIRST_US + day * DAY_US, &contribution)
 }
 
 /// What must be.

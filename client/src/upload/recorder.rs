@@ -8,10 +8,10 @@ use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
+use echofix_core::time::DAY_US;
 
 use super::{PreparedUpload, RecorderConfig, UploadForm, segment};
 
-const DAY_US: i64 = 86_400_000_000;
 /// A vehicle that stays near one position this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
 

@@ -63,13 +63,12 @@ impl Scene {
     /// When the map does not open.
     pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
         // As the service was told: under another policy the map would be folded anew.
-        let settings = vec![key_and_value(TRUSTING).map_err(|why| anyhow!(why))?];
+        let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {
-            data_dir: folder.join("data"),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
-            policy: config.mapping.policy(),
+            ..Options::new(folder.join("data"), config.mapping.policy())
         };
         let store: Arc<dyn MapStore> = Arc::new(EmbeddedStore::open(&options)?);
         let locator = Arc::new(Locator::new(Arc::clone(&store), config.locating));
@@ -140,8 +139,8 @@ impl Scene {
         Ok([decoded_ms, checked_ms, organised_ms, window_ms, align_ms, rest_ms.max(0.0), encoded_ms])
     }
 
-    fn organised(&self, batch: &decode::Batch) -> anyhow::Result<Batch> {
-        let decode::Batch { reference_time_us, mounts, scans, odometry } = batch;
+    fn organised(&self, batch: &decode::DecodedBatch) -> anyhow::Result<Batch> {
+        let decode::DecodedBatch { reference_time_us, mounts, scans, odometry } = batch;
         let gate = self.config.locating.gate();
         Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
     }

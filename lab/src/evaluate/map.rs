@@ -11,12 +11,11 @@ use echofix_core::odometry;
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::Scan;
 use echofix_core::tile::{Ledger, Tile};
+use echofix_core::time::DAY_US;
 use echofix_core::window::{Frame, Window};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
 const MAX_POSE_GAP_US: i64 = 500_000;
-/// Microseconds of a day.
-pub const DAY_US: i64 = 86_400_000_000;
 
 /// What becomes of detections that move, by their radial speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -1,6 +1,7 @@
 //! Simulated worlds: a town or a single street, mapped on one day and driven again on another.
 
 use echofix_core::drive::Drive;
+use echofix_core::time::DAY_US;
 use echofix_sim::{City, DriveParams, OdometryModel, Route, Scene, downtown, simulate};
 use rayon::prelude::*;
 
@@ -8,7 +9,6 @@ use super::world::Drives;
 
 /// What kind of place a town is.
 pub const TOWN: &str = "town";
-const DAY_US: i64 = 86_400_000_000;
 /// Days from the mapping drives to the localized one: from Thursday to Sunday, as in the paper.
 const DAYS_LATER: u32 = 3;
 

@@ -8,7 +8,7 @@ export const count = (n) => (n < 100_000 ? whole.format(n) : short.format(n));
 /** A number with about three significant digits. */
 export const figure = (n) => (n >= 100 ? whole.format(n) : n >= 10 ? n.toFixed(1) : n.toFixed(2));
 
-export const percent = (share) => `${Math.round(share * 100)} %`;
+export const percent = (fraction) => `${Math.round(fraction * 100)} %`;
 
 /** Bytes as [number, unit]. */
 export function size(bytes) {
@@ -35,8 +35,8 @@ export const degrees = (value, digits, [positive, negative]) =>
 
 export const position = (lng, lat) => `${degrees(lat, 6, 'NS')}  ${degrees(lng, 6, 'EW')}`;
 
-/** The middle value, or the value at another share of the sorted list. */
-export function quantile(values, share = 0.5) {
+/** The middle value, or the value at another fraction of the sorted list. */
+export function quantile(values, fraction = 0.5) {
   const sorted = values.toSorted((a, b) => a - b);
-  return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * share))];
+  return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * fraction))];
 }

@@ -37,13 +37,13 @@ async function describeLayer() {
 }
 
 async function loadMap() {
-  const told = await ask('/api/v1/map');
-  showTotals(told);
-  showProgress(told);
+  const answer = await ask('/api/v1/map');
+  showTotals(answer);
+  showProgress(answer);
   if (!byId('legend').hasChildNodes()) await describeLayer();
-  if (!state.framed && told.bounds) {
+  if (!state.framed && answer.bounds) {
     state.framed = true;
-    frame(map, told);
+    frame(map, answer);
   }
 }
 

@@ -84,7 +84,7 @@ export function showFixes(fixes, choose) {
   fill(byId('fixes'), fixes.slice(0, SHOWN_FIXES).map(row));
 }
 
-/** The verdicts as a strip of bars: colour tells the verdict, height the matched fraction. */
+/** The verdicts as a strip of bars: the colour is the verdict, the height the matched fraction. */
 function strip(canvas, fixes) {
   canvas.hidden = fixes.length === 0;
   const ratio = window.devicePixelRatio;
@@ -103,10 +103,10 @@ function strip(canvas, fixes) {
 
 function key(fixes) {
   const entry = (family) => {
-    const share = fixes.filter((fix) => familyOf(fix.status) === family).length;
+    const count = fixes.filter((fix) => familyOf(fix.status) === family).length;
     const dot = el('i', { className: 'dot' });
     dot.style.background = family.color;
-    return share ? el('li', {}, dot, `${family.name} ${share}`) : null;
+    return count ? el('li', {}, dot, `${family.name} ${count}`) : null;
   };
   byId('verdicts').replaceChildren(...families.map(entry).filter(Boolean));
 }

@@ -1,4 +1,4 @@
-// What the service tells: its answers, and the stream of what happens.
+// What the service sends: its answers, and the stream of what happens.
 
 /** JSON of an address; throws the service's own words. */
 export async function ask(path) {

@@ -1,4 +1,4 @@
-// The verdicts of a fix, in families an operator can tell apart at a glance.
+// The verdicts of a fix, in families an operator distinguishes at a glance.
 
 const FAMILIES = [
   { name: 'usable', color: '#b6ff5a', statuses: ['USABLE'] },

@@ -112,7 +112,7 @@ fn mapping(mapping: &MappingConfig) -> impl Iterator<Item = (&'static str, bool,
     rules.into_iter()
 }
 
-/// Ids are forgotten with what is settled: what comes again must be refused for its age by then.
+/// Ids are forgotten with what is compacted: what comes again must be refused for its age by then.
 fn ages(mapping: &MappingConfig) -> (&'static str, bool, &'static str) {
     let holds = mapping.retention_days == 0 || mapping.max_age_days < mapping.retention_days;
     let rule = "must be less than mapping.retention_days: an upload sent again after that would count twice";

@@ -23,35 +23,35 @@ pub enum Error {
     /// The file cannot be read.
     #[error("cannot read {path}: {source}")]
     Read {
-        /// The file.
+        /// The file that was named by `--config`.
         path: PathBuf,
-        /// The system's words.
+        /// What the operating system reported.
         source: std::io::Error,
     },
     /// Not TOML, or a value of the wrong kind.
     #[error("{origin}: {reason}")]
     Malformed {
-        /// Where it was found.
+        /// The file, environment variable or flag it came from.
         origin: String,
-        /// What is wrong.
+        /// What the parser reported.
         reason: String,
     },
-    /// A key nobody knows.
+    /// A key that the shipped file does not have.
     #[error("{origin}: unknown key `{key}`{hint}")]
     UnknownKey {
-        /// Where it was found.
+        /// The file, environment variable or flag it came from.
         origin: String,
         /// The key, with its section.
         key: String,
         /// What may have been meant.
         hint: String,
     },
-    /// A value that makes no sense.
+    /// A value outside its range.
     #[error("`{key}` {rule}")]
     OutOfRange {
         /// The key, with its section.
         key: &'static str,
-        /// What it must be.
+        /// The rule that the value breaks.
         rule: &'static str,
     },
 }
@@ -60,31 +60,31 @@ pub enum Error {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Vehicles.
-    pub grpc: Listen,
-    /// Operators.
-    pub http: Listen,
-    /// Where everything is kept.
+    /// The gRPC port, for vehicles.
+    pub grpc: ListenConfig,
+    /// The HTTP port, for operators.
+    pub http: ListenConfig,
+    /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What an upload must fulfil.
     pub mapping: MappingConfig,
-    /// How to locate.
+    /// How fixes are computed.
     pub locating: LocatingConfig,
-    /// What clients may take.
-    pub limits: Limits,
+    /// What one client may take of the service.
+    pub limits: LimitsConfig,
     /// What is written to standard error.
     pub log: LogConfig,
 }
 
-/// A port.
+/// The address of a port.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Listen {
+pub struct ListenConfig {
     /// Address and port; port 0 takes any free one.
     pub listen: SocketAddr,
 }
 
-/// Where and how data is kept.
+/// Where and how data is stored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoreConfig {
@@ -96,10 +96,10 @@ pub struct StoreConfig {
     pub segment_mib: u64,
 }
 
-/// What clients may take.
+/// What one client may take of the service.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Limits {
+pub struct LimitsConfig {
     /// Connections to each port.
     pub connections: usize,
     /// Requests at once on one gRPC connection.
@@ -126,7 +126,7 @@ pub struct Limits {
     pub shutdown_s: u64,
 }
 
-impl Limits {
+impl LimitsConfig {
     /// Silence in the middle of a request.
     #[must_use]
     pub fn stall(&self) -> Duration {
@@ -164,11 +164,12 @@ pub struct LogConfig {
 
 /// The look of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
 pub enum LogFormat {
-    /// For people.
+    /// Lines for people.
+    #[serde(rename = "text")]
     Text,
-    /// For machines.
+    /// One JSON object a line, for machines.
+    #[serde(rename = "json")]
     Json,
 }
 

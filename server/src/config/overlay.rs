@@ -33,7 +33,7 @@ impl Layered {
         Ok(())
     }
 
-    /// Lays variables `ECHOFIX_<SECTION>_<KEY>` over it; others are somebody else's.
+    /// Lays variables `ECHOFIX_<SECTION>_<KEY>` over it; others are ignored.
     pub(super) fn environment(&mut self, variables: &[(String, String)]) -> Result<(), Error> {
         for (name, text) in variables {
             let Some(rest) = name.strip_prefix(PREFIX) else { continue };

@@ -24,7 +24,7 @@ fn the_shipped_file_is_the_default_and_sets_every_key() {
 }
 
 #[test]
-fn uploads_may_be_kept_for_ever_or_longer_than_they_are_taken() {
+fn uploads_may_stay_for_ever_or_longer_than_they_are_taken() {
     for mapping in ["max_age_days = 30\nretention_days = 31", "max_age_days = 365\nretention_days = 0"] {
         assert!(load(Some(&format!("[mapping]\n{mapping}")), &[], &[]).is_ok(), "{mapping}");
     }
@@ -45,23 +45,37 @@ fn later_layers_win() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_place_and_a_hint() {
-    let told = |file: &str| load(Some(file), &[], &[]).unwrap_err().to_string();
-    let typo = told("[mapping]\nmax_rang_m = 60");
+fn mistakes_are_reported_with_their_origin_and_a_hint() {
+    let message = |file: &str| load(Some(file), &[], &[]).unwrap_err().to_string();
+    let typo = message("[mapping]\nmax_rang_m = 60");
     assert!(typo.contains("my.toml") && typo.contains("did you mean `mapping.max_range_m`?"), "{typo}");
     let ages = "[mapping]\nmax_age_days = 30\nretention_days = 30";
-    assert!(told(ages).contains("must be less than mapping.retention_days"), "{}", told(ages));
-    assert!(told("[maping]\nmax_range_m = 60").contains("did you mean `mapping.max_range_m`?"));
-    assert!(told("listen = 3").contains("unknown key `listen`"));
-    assert!(told("[http]\nlisten = 3").contains("must be a string"));
-    assert!(told("[http]\nlisten = \"here\"").contains("listen"));
-    assert!(told("[http\n").contains("my.toml"));
-    assert!(told("[store]\nsegment_mib = 0").contains("`store.segment_mib` must lie within 1 and 1024"));
+    assert!(message(ages).contains("must be less than mapping.retention_days"), "{}", message(ages));
+    assert!(message("[maping]\nmax_range_m = 60").contains("did you mean `mapping.max_range_m`?"));
+    assert!(message("listen = 3").contains("unknown key `listen`"));
+    assert!(message("[http]\nlisten = 3").contains("must be a string"));
+    assert!(message("[http]\nlisten = \"here\"").contains("listen"));
+    assert!(message("[http\n").contains("my.toml"));
+    assert!(message("[store]\nsegment_mib = 0").contains("`store.segment_mib` must lie within 1 and 1024"));
     let env = load(None, &[("ECHOFIX_LOG_FORMT", "json")], &[]).unwrap_err().to_string();
     assert!(env.contains("ECHOFIX_LOG_FORMT") && env.contains("`log.format`"), "{env}");
     let set = load(None, &[], &[("limits.stall", "3")]).unwrap_err().to_string();
     assert!(set.contains("did you mean `limits.stall_s`?"), "{set}");
     assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
+}
+
+/// Catches: a value of a setting that changes its name with the code's.
+#[test]
+fn the_words_that_settings_take_stay() {
+    for (key, words) in
+        [("locating.engine", &["auto", "fast", "bounded", "fft"][..]), ("log.format", &["text", "json"])]
+    {
+        for word in words {
+            let config = load(None, &[], &[(key, word)]).unwrap();
+            let (_, name) = key.split_once('.').unwrap();
+            assert!(config.to_toml().contains(&format!("{name} = \"{word}\"")), "{word}");
+        }
+    }
 }
 
 #[test]

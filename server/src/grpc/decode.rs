@@ -6,16 +6,17 @@ use echofix_core::geo::LatLon;
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
+use echofix_core::time::DAY_US;
 use echofix_proto::v1;
 
 mod scans;
 mod uncertainty;
 
-pub use scans::{Scans, scans};
+pub use scans::{ScanColumns, scans};
 pub use uncertainty::{Uncertainty, uncertainty};
 
-pub use super::violation::Violation;
-use super::violation::{require, required};
+pub use super::invalid_field::InvalidField;
+use super::invalid_field::{require, required};
 
 /// Radars of one vehicle, at most.
 pub const MAX_MOUNTS: usize = 64;
@@ -23,8 +24,8 @@ pub const MAX_MOUNTS: usize = 64;
 pub const MAX_SCANS: usize = 16_384;
 /// Poses of one message, at most.
 pub const MAX_POSES: usize = 65_536;
-/// Microseconds of the last day the map can tell, in the year 2149.
-const END_OF_TIME_US: i64 = 65_535 * 86_400_000_000;
+/// The end of the last day that the map can count, in the year 2149, microseconds.
+const END_OF_TIME_US: i64 = 65_535 * DAY_US;
 /// Metres from the odometry frame's origin that no vehicle reaches.
 const MAX_ODOMETRY_M: f64 = 1e7;
 /// Metres from the body's origin that no radar is mounted at.
@@ -34,14 +35,14 @@ const MAX_ANGLE_RAD: f64 = 1e3;
 
 /// A batch whose columns are sound.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Batch {
+pub struct DecodedBatch {
     /// Microseconds since the Unix epoch.
     pub reference_time_us: i64,
-    /// The radars.
+    /// Where the radars sit on the vehicle.
     pub mounts: Vec<Mount>,
     /// Scans, as they came.
-    pub scans: Scans,
-    /// Odometry.
+    pub scans: ScanColumns,
+    /// The vehicle's way in its odometry frame.
     pub odometry: Trajectory,
 }
 
@@ -49,7 +50,7 @@ pub struct Batch {
 ///
 /// # Errors
 /// The first field that breaks a rule.
-pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<Batch, Violation> {
+pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<DecodedBatch, InvalidField> {
     let v1::Batch { reference_time_us, mounts, scans: columns, odometry: way } = required(batch, field)?;
     let at = |name: &str| format!("{field}.{name}");
     reference_time(reference_time_us, &at("reference_time_us"))?;
@@ -57,20 +58,20 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<Batch, Violation> 
     let columns = required(columns, &at("scans"))?;
     let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
     let odometry = odometry(required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
-    Ok(Batch { reference_time_us, mounts, scans, odometry })
+    Ok(DecodedBatch { reference_time_us, mounts, scans, odometry })
 }
 
-/// A time of day that the map can tell.
+/// A time on a day that the map can count.
 ///
 /// # Errors
 /// When it lies before 1970 or after 2149.
-pub fn reference_time(time_us: i64, field: &str) -> Result<(), Violation> {
-    require(told(time_us), field, UNTOLD)
+pub fn reference_time(time_us: i64, field: &str) -> Result<(), InvalidField> {
+    require(is_countable(time_us), field, UNCOUNTABLE)
 }
 
-const UNTOLD: &str = "must be microseconds since 1970, before the year 2149";
+const UNCOUNTABLE: &str = "must be microseconds since 1970, before the year 2149";
 
-fn told(time_us: i64) -> bool {
+fn is_countable(time_us: i64) -> bool {
     (0..END_OF_TIME_US).contains(&time_us)
 }
 
@@ -78,13 +79,16 @@ fn told(time_us: i64) -> bool {
 ///
 /// # Errors
 /// When there are none or too many, or one is not on the vehicle.
-pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Violation> {
-    require(!mounts.is_empty(), field, "is empty; send the place of every radar")?;
+pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, InvalidField> {
+    require(!mounts.is_empty(), field, "is empty; send the mount of every radar")?;
     limit(mounts.len(), MAX_MOUNTS, field)?;
     let on_body = |m: f32| m.abs() <= MAX_MOUNT_M;
     let sound = |m: &v1::SensorMount| on_body(m.x_m) && on_body(m.y_m) && angle(f64::from(m.yaw_rad));
     if let Some(row) = mounts.iter().position(|mount| !sound(mount)) {
-        return Err(Violation::new(format!("{field}[{row}]"), "must be finite and within 100 m of the body"));
+        return Err(InvalidField::new(
+            format!("{field}[{row}]"),
+            "must be finite and within 100 m of the body",
+        ));
     }
     let mount = |m: &v1::SensorMount| Mount::new(m.x_m.into(), m.y_m.into(), m.yaw_rad.into());
     Ok(mounts.iter().map(mount).collect())
@@ -94,7 +98,11 @@ pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Vio
 ///
 /// # Errors
 /// The first column that breaks a rule.
-pub fn odometry(columns: v1::Odometry, reference_time_us: i64, field: &str) -> Result<Trajectory, Violation> {
+pub fn odometry(
+    columns: v1::Odometry,
+    reference_time_us: i64,
+    field: &str,
+) -> Result<Trajectory, InvalidField> {
     let at = |name: &str| format!("{field}.{name}");
     let v1::Odometry { time_offset_us, x_m, y_m, yaw_rad } = columns;
     limit(time_offset_us.len(), MAX_POSES, &at("time_offset_us"))?;
@@ -105,8 +113,8 @@ pub fn odometry(columns: v1::Odometry, reference_time_us: i64, field: &str) -> R
     let times = times(time_offset_us, reference_time_us, &at("time_offset_us"))?;
     let poses = x_m.iter().zip(&y_m).zip(&yaw_rad).map(|((x, y), yaw)| Pose2::new(*x, *y, *yaw));
     Trajectory::new(times.into_iter().zip(poses)).map_err(|error| match error {
-        odometry::Error::NotIncreasing { .. } => Violation::new(at("time_offset_us"), error),
-        odometry::Error::NotFinite { .. } => Violation::new(field, error),
+        odometry::Error::NotIncreasing { .. } => InvalidField::new(at("time_offset_us"), error),
+        odometry::Error::NotFinite { .. } => InvalidField::new(field, error),
     })
 }
 
@@ -118,7 +126,7 @@ pub fn geo_poses(
     columns: &v1::PoseColumns,
     reference_time_us: i64,
     field: &str,
-) -> Result<Vec<GeoPose>, Violation> {
+) -> Result<Vec<GeoPose>, InvalidField> {
     let at = |name: &str| format!("{field}.{name}");
     let rows = columns.time_offset_us.len();
     limit(rows, MAX_POSES, &at("time_offset_us"))?;
@@ -135,13 +143,16 @@ pub fn geo_poses(
     for (name, column) in sigmas {
         same_length(column.len(), rows, &at(name), "time_offset_us")?;
         if let Some(row) = column.iter().position(|sigma| !(sigma.is_finite() && *sigma >= 0.0)) {
-            return Err(Violation::new(format!("{}[{row}]", at(name)), "must be finite and not negative"));
+            return Err(InvalidField::new(format!("{}[{row}]", at(name)), "must be finite and not negative"));
         }
     }
     let times = times(columns.time_offset_us.clone(), reference_time_us, &at("time_offset_us"))?;
     if let Some(row) = times.windows(2).position(|pair| pair[1] <= pair[0]) {
         let field = format!("{}[{}]", at("time_offset_us"), row + 1);
-        return Err(Violation::new(field, "does not come after the one before; send poses in order of time"));
+        return Err(InvalidField::new(
+            field,
+            "does not come after the one before; send poses in order of time",
+        ));
     }
     let pose = |row: usize| GeoPose {
         time_us: times[row],
@@ -157,7 +168,7 @@ pub fn geo_poses(
 ///
 /// # Errors
 /// When it is missing or not a position on the globe.
-pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(LatLon, f64), Violation> {
+pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(LatLon, f64), InvalidField> {
     let v1::GeodeticPose { latitude_deg, longitude_deg, yaw_rad } = required(pose, field)?;
     let at = lat_lon(latitude_deg, longitude_deg, field)?;
     require(angle(yaw_rad), &format!("{field}.yaw_rad"), "is not an angle in radians")?;
@@ -167,8 +178,8 @@ pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(Lat
 /// A position on the globe.
 ///
 /// # Errors
-/// When it is none.
-pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, Violation> {
+/// When it lies outside of the ranges of latitude or longitude.
+pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, InvalidField> {
     require(lat_deg.abs() <= 90.0, &format!("{field}.latitude_deg"), "must lie within -90 and 90 degrees")?;
     require(
         lon_deg.abs() <= 180.0,
@@ -179,11 +190,11 @@ pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, Violat
 }
 
 /// Offsets become microseconds since the Unix epoch.
-fn times(mut offsets_us: Vec<i64>, reference_time_us: i64, field: &str) -> Result<Vec<i64>, Violation> {
+fn times(mut offsets_us: Vec<i64>, reference_time_us: i64, field: &str) -> Result<Vec<i64>, InvalidField> {
     for (row, offset_us) in offsets_us.iter_mut().enumerate() {
         *offset_us = reference_time_us.checked_add(*offset_us).unwrap_or(-1);
-        if !told(*offset_us) {
-            return Err(Violation::new(format!("{field}[{row}]"), UNTOLD));
+        if !is_countable(*offset_us) {
+            return Err(InvalidField::new(format!("{field}[{row}]"), UNCOUNTABLE));
         }
     }
     Ok(offsets_us)
@@ -193,21 +204,21 @@ fn angle(rad: f64) -> bool {
     rad.abs() <= MAX_ANGLE_RAD
 }
 
-fn bounded(column: &[f64], most: f64, field: &str) -> Result<(), Violation> {
+fn bounded(column: &[f64], most: f64, field: &str) -> Result<(), InvalidField> {
     // NaN is not within any range.
     match column.iter().position(|value| !(-most..=most).contains(value)) {
         Some(row) => {
-            Err(Violation::new(format!("{field}[{row}]"), format!("must lie within -{most} and {most}")))
+            Err(InvalidField::new(format!("{field}[{row}]"), format!("must lie within -{most} and {most}")))
         }
         None => Ok(()),
     }
 }
 
-fn limit(rows: usize, most: usize, field: &str) -> Result<(), Violation> {
+fn limit(rows: usize, most: usize, field: &str) -> Result<(), InvalidField> {
     require(rows <= most, field, &format!("has {rows} values; send at most {most} in one message"))
 }
 
-fn same_length(found: usize, expected: usize, field: &str, like: &str) -> Result<(), Violation> {
+fn same_length(found: usize, expected: usize, field: &str, like: &str) -> Result<(), InvalidField> {
     let described = format!("has {found} values but `{like}` has {expected}; send columns of equal length");
     require(found == expected, field, &described)
 }

@@ -11,7 +11,7 @@ use echofix_proto::v1::{ExpectedFix, FixStatus, GetCoverageRequest, GetCoverageR
 use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
 
-use super::violation::{Violation, require};
+use super::invalid_field::{InvalidField, require};
 use super::{blocking, decode, status};
 use crate::locating::Expectations;
 use crate::store::{self, MapStore};
@@ -22,17 +22,17 @@ const MAX_POINTS: usize = 4_096;
 const MAX_EXPECTED: usize = 1_024;
 /// How far around a point cells count, metres.
 const RADIUS_M: f64 = 50.0;
-/// Decoded tiles kept for the next points: the neighbourhoods of several.
+/// Decoded tiles in memory for the next points: the neighbourhoods of several.
 const TILES_KEPT: usize = 64;
 
 pub(super) async fn get_coverage(
     (store, expectations): (Arc<dyn MapStore>, Arc<Expectations>),
     request: GetCoverageRequest,
-    place: OwnedSemaphorePermit,
+    permit: OwnedSemaphorePermit,
 ) -> Result<GetCoverageResponse, Status> {
     let route = route(&request).map_err(|violation| status::invalid(&violation))?;
     blocking(move || {
-        let _place = place;
+        let _permit = permit;
         let mut response = coverage(&*store, &route)?;
         if request.expectations {
             response.expected = expected(&*store, &expectations, &route)?;
@@ -42,7 +42,7 @@ pub(super) async fn get_coverage(
     .await?
 }
 
-fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, Violation> {
+fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, InvalidField> {
     let GetCoverageRequest { latitude_deg, longitude_deg, expectations } = request;
     let rows = latitude_deg.len();
     let many = format!("has more than {MAX_EXPECTED} values with `expectations`");
@@ -58,13 +58,13 @@ fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, Violation> {
 
 fn coverage(store: &dyn MapStore, route: &[LatLon]) -> Result<GetCoverageResponse, Status> {
     let epoch = store.progress().borrow().epoch;
-    let mut looker = Looker { store, grid: None, tiles: HashMap::new() };
+    let mut reader = CoverageReader { store, grid: None, tiles: HashMap::new() };
     let mut response = GetCoverageResponse { epoch, ..GetCoverageResponse::default() };
     for at in route {
         // Beyond UTM there is no map, which is what was asked.
         let seen = match Zone::of(*at) {
-            Ok(zone) => looker.around(zone, *at).map_err(|error| status::store(&error))?,
-            Err(_) => Seen::default(),
+            Ok(zone) => reader.around(zone, *at).map_err(|error| status::store(&error))?,
+            Err(_) => PointCoverage::default(),
         };
         response.cells.push(seen.cells);
         response.newest_day.push(u32::from(seen.newest_day));
@@ -108,29 +108,29 @@ fn expected_at(
         margin: fix.margin,
         rival_east_m: fix.rival.map(|rival| rival.x_m),
         rival_north_m: fix.rival.map(|rival| rival.y_m),
-        version: store.told(tile.version),
+        version: store.wire_version(tile.version),
     }))
 }
 
 /// What lies around a point.
 #[derive(Default)]
-struct Seen {
+struct PointCoverage {
     cells: u32,
     newest_day: u16,
 }
 
-struct Looker<'a> {
+struct CoverageReader<'a> {
     store: &'a dyn MapStore,
     grid: Option<Grid>,
     tiles: HashMap<TileId, Option<Arc<Tile>>>,
 }
 
-impl Looker<'_> {
-    fn around(&mut self, zone: Zone, at: LatLon) -> Result<Seen, store::Error> {
+impl CoverageReader<'_> {
+    fn around(&mut self, zone: Zone, at: LatLon) -> Result<PointCoverage, store::Error> {
         if self.grid.as_ref().is_none_or(|grid| grid.zone() != zone) {
             self.grid = Grid::new(zone).ok();
         }
-        let mut seen = Seen::default();
+        let mut seen = PointCoverage::default();
         let Some(Ok(centre)) = self.grid.as_ref().map(|grid| grid.project(at)) else { return Ok(seen) };
         for id in TileId::covering(zone, centre, RADIUS_M) {
             if let Some(tile) = self.tile(id)? {
@@ -154,7 +154,7 @@ impl Looker<'_> {
 }
 
 /// Counts a tile's cells whose centre lies within the radius.
-fn look(tile: &Tile, id: TileId, [x, y]: [f64; 2], seen: &mut Seen) {
+fn look(tile: &Tile, id: TileId, [x, y]: [f64; 2], seen: &mut PointCoverage) {
     let ([x0, y0], side) = (id.origin(), CELLS_PER_TILE as u32);
     for (index, cell) in tile.cells() {
         let east = x0 + (f64::from(index % side) + 0.5) * CELL_M - x;

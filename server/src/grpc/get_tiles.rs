@@ -14,8 +14,9 @@ use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TileP
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
+use tracing::Instrument;
 
-use super::violation::{Violation, require, required};
+use super::invalid_field::{InvalidField, require, required};
 use super::{blocking, status, tile_id};
 use crate::store::{self, MapStore, StoredTile};
 
@@ -29,10 +30,10 @@ const MAX_HAVE: usize = 16_384;
 const MAX_PIECE: usize = 512 << 10;
 
 /// The answer, as fast as the caller takes it.
-pub(super) type Answer = ReceiverStream<Result<GetTilesResponse, Status>>;
+pub(super) type TileStream = ReceiverStream<Result<GetTilesResponse, Status>>;
 
 /// What to send.
-struct Plan {
+struct TransferPlan {
     /// Read before any tile: every tile is at least as new.
     epoch: u64,
     send: Vec<TileId>,
@@ -43,26 +44,27 @@ struct Plan {
 pub(super) async fn get_tiles(
     store: Arc<dyn MapStore>,
     request: GetTilesRequest,
-    place: OwnedSemaphorePermit,
+    permit: OwnedSemaphorePermit,
     stall: Duration,
-) -> Result<Answer, Status> {
+) -> Result<TileStream, Status> {
     let plan = {
         let store = store.clone();
         blocking(move || plan(&*store, request)).await??
     };
     let (sender, receiver) = mpsc::channel(1);
-    tokio::spawn(async move {
-        // The caller's place is free again once the answer has ended.
-        let _place = place;
+    let sending = async move {
+        // The caller's permit is returned once the answer has ended.
+        let _permit = permit;
         send(store, plan, sender, stall).await;
-    });
+    };
+    tokio::spawn(sending.in_current_span());
     Ok(ReceiverStream::new(receiver))
 }
 
 /// Sends until the end, the first error, or the caller takes nothing any more.
 async fn send(
     store: Arc<dyn MapStore>,
-    plan: Plan,
+    plan: TransferPlan,
     sender: mpsc::Sender<Result<GetTilesResponse, Status>>,
     stall: Duration,
 ) {
@@ -89,7 +91,7 @@ async fn send(
             }
         };
         summary.sent += 1;
-        let version = store.told(tile.version);
+        let version = store.wire_version(tile.version);
         for part in parts(id, &tile, version) {
             let message = GetTilesResponse { part: Some(part) };
             if sender.send_timeout(Ok(message), stall).await.is_err() {
@@ -117,12 +119,12 @@ fn parts(id: TileId, tile: &StoredTile, version: u64) -> impl Iterator<Item = Pa
     iter::once(Part::Tile(first)).chain(rest)
 }
 
-fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> {
+fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<TransferPlan, Status> {
     let epoch = store.progress().borrow().epoch;
     let have = have(request.have).map_err(|violation| status::invalid(&violation))?;
     let selection = required(request.selection, "selection").map_err(|v| status::invalid(&v))?;
     let (mut plan, mut asked) =
-        (Plan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
+        (TransferPlan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
     let found = match selection {
         Selection::Tiles(list) => {
             asked.extend(ids(&list.ids, "tiles.ids").map_err(|violation| status::invalid(&violation))?);
@@ -133,7 +135,7 @@ fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> 
         Selection::Area(area) => area::tiles(store, &area)?,
     };
     let found: BTreeMap<TileId, u64> =
-        found.into_iter().map(|info| (info.id, store.told(info.version))).collect();
+        found.into_iter().map(|info| (info.id, store.wire_version(info.version))).collect();
     asked.extend(found.keys());
     for id in &asked {
         match (found.get(id), have.get(id)) {
@@ -151,7 +153,7 @@ fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<Plan, Status> 
     Ok(plan)
 }
 
-fn have(have: Vec<v1::TileVersion>) -> Result<BTreeMap<TileId, u64>, Violation> {
+fn have(have: Vec<v1::TileVersion>) -> Result<BTreeMap<TileId, u64>, InvalidField> {
     let most = format!("names more than {MAX_HAVE} tiles");
     require(have.len() <= MAX_HAVE, "have", &most)?;
     let entry = |(row, has): (usize, v1::TileVersion)| {
@@ -161,12 +163,12 @@ fn have(have: Vec<v1::TileVersion>) -> Result<BTreeMap<TileId, u64>, Violation> 
     have.into_iter().enumerate().map(entry).collect()
 }
 
-fn ids(ids: &[v1::TileId], field: &str) -> Result<Vec<TileId>, Violation> {
+fn ids(ids: &[v1::TileId], field: &str) -> Result<Vec<TileId>, InvalidField> {
     require(ids.len() <= MAX_IDS, field, &format!("names more than {MAX_IDS} tiles"))?;
     ids.iter().enumerate().map(|(row, tile)| id(tile, &format!("{field}[{row}]"))).collect()
 }
 
-fn id(id: &v1::TileId, field: &str) -> Result<TileId, Violation> {
-    let zone = Zone::from_epsg(id.epsg).map_err(|error| Violation::new(format!("{field}.epsg"), error))?;
+fn id(id: &v1::TileId, field: &str) -> Result<TileId, InvalidField> {
+    let zone = Zone::from_epsg(id.epsg).map_err(|error| InvalidField::new(format!("{field}.epsg"), error))?;
     Ok(TileId { zone, x: id.x, y: id.y })
 }

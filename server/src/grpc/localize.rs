@@ -19,21 +19,23 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
+use tracing::{Instrument, Span};
 
+use super::invalid_field::{InvalidField, require, required};
 use super::status;
-use super::violation::{Violation, require, required};
 use super::{blocking, decode, now_us};
 use crate::feed::{Feed, FixEvent};
-use crate::locating::{Admitted, Answer, Locator, Question, Refusal, verdict_word};
-use crate::metrics::{Metrics, Outcome};
+use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
+use crate::metrics::{Metrics, OutcomeLabel};
+use crate::trace::in_current_span;
 use encode::{BatchFacts, milliseconds, reason, refused, response};
 
-/// The service's localization half.
+/// Answers localization requests.
 pub struct LocalizationApi {
-    inner: Arc<Inner>,
+    inner: Arc<Localization>,
 }
 
-struct Inner {
+struct Localization {
     answered: AtomicU64,
     locator: Arc<Locator>,
     feed: Arc<Feed>,
@@ -41,13 +43,13 @@ struct Inner {
 }
 
 impl LocalizationApi {
-    /// Answers from a locator; tells the feed and the metrics what came of each question.
+    /// Answers from a locator; feeds and metrics record every outcome.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
-        Self { inner: Arc::new(Inner { answered: AtomicU64::new(0), locator, feed, metrics }) }
+        Self { inner: Arc::new(Localization { answered: AtomicU64::new(0), locator, feed, metrics }) }
     }
 
-    /// Answers one question on this thread, from its columns to its answer.
+    /// Answers one request on this thread, from its columns to its answer.
     ///
     /// # Errors
     /// The refusal, as the call would return it.
@@ -73,11 +75,15 @@ impl LocalizationService for LocalizationApi {
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
         let inner = Arc::clone(&self.inner);
+        // The answers are made after this call has returned, and belong to its span still.
+        let call = Span::current();
         let answers = request.into_inner().then(move |asked| {
-            let inner = Arc::clone(&inner);
+            let (inner, call) = (Arc::clone(&inner), call.clone());
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked?;
-                let outcome = match inner.answer(request.unwrap_or_default(), None).await {
+                let span = tracing::info_span!(parent: &call, "message", sequence);
+                let answer = inner.answer(request.unwrap_or_default(), None).instrument(span);
+                let outcome = match answer.await {
                     Ok(response) => Streamed::Response(response),
                     Err(status) => Streamed::Error(as_message(&status)),
                 };
@@ -98,7 +104,7 @@ fn as_message(status: &Status) -> pb::Status {
     prost::Message::decode(status.details()).ok().filter(|s: &pb::Status| s.code != 0).unwrap_or_else(plain)
 }
 
-impl Inner {
+impl Localization {
     async fn answer(
         self: &Arc<Self>,
         request: LocalizeRequest,
@@ -106,65 +112,72 @@ impl Inner {
     ) -> Result<LocalizeResponse, Status> {
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
-        let (response, doubt) = blocking(move || inner.work(request, deadline, admitted)).await??;
-        if let Some(doubt) = doubt {
+        let (response, check) = blocking(move || inner.work(request, deadline, admitted)).await??;
+        if let Some(check) = check {
             let inner = Arc::clone(self);
-            tokio::task::spawn_blocking(move || inner.confirm(doubt));
+            tokio::task::spawn_blocking(in_current_span(move || inner.run_check(check)));
         }
         Ok(response)
     }
 
-    /// Decodes, answers, encodes and tells; computes for a while. Now and then the answer is to be
-    /// confirmed afterwards, on the same compute slot.
+    /// Decodes, answers, encodes and records; computes for a while. A sampled answer is to be checked afterwards, on the
+    /// same compute slot.
     fn work(
         &self,
         request: LocalizeRequest,
         deadline: Option<Instant>,
         mut admitted: Admitted,
-    ) -> Result<(LocalizeResponse, Option<Doubt>), Status> {
-        let asked = self.question(request, deadline).map_err(|violation| {
+    ) -> Result<(LocalizeResponse, Option<SampledCheck>), Status> {
+        let asked = self.decoded(request, deadline).map_err(|violation| {
+            tracing::debug!(field = violation.field, "request not valid");
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
         })?;
-        let (at, reference_time_us) = (asked.question.at, asked.reference_time_us);
-        let batch = BatchFacts::of(&asked.question.batch);
-        let answer = self.locator.locate(&asked.question, &mut admitted).map_err(|r| self.refuse(&r))?;
+        let (at, reference_time_us) = (asked.request.at, asked.reference_time_us);
+        let batch = BatchFacts::of(&asked.request.batch);
+        let answer = self.locator.locate(&asked.request, &mut admitted).map_err(|r| self.refuse(&r))?;
         let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
-        self.tell(&answer, &response, at.lat_deg, at.lon_deg);
-        let doubt = self.is_sampled().then(|| Doubt { question: asked.question, answer, admitted });
-        Ok((response, doubt))
+        self.record(&answer, &response, at.lat_deg, at.lon_deg);
+        let check = self.is_sampled().then(|| SampledCheck { request: asked.request, answer, admitted });
+        Ok((response, check))
     }
 
-    /// True for the share of the answers that is to be confirmed, evenly spread.
+    /// Is this answer one of the fraction to be checked? They are evenly spread.
     fn is_sampled(&self) -> bool {
-        let share = self.locator.config().confirm_share;
+        let fraction = self.locator.config().confirm_share;
         let count = self.answered.fetch_add(1, Ordering::Relaxed) as f64;
-        ((count + 1.0) * share).floor() > (count * share).floor()
+        ((count + 1.0) * fraction).floor() > (count * fraction).floor()
     }
 
-    /// Asks the exhaustive engine the same; computes for long.
-    fn confirm(&self, doubt: Doubt) {
-        let Doubt { question, answer, mut admitted } = doubt;
-        let outcome = match self.locator.confirms(&question, &answer, &mut admitted) {
+    /// Repeats an answer with an exact engine; computes for long.
+    fn run_check(&self, check: SampledCheck) {
+        let SampledCheck { request, answer, mut admitted } = check;
+        let outcome = match self.locator.check_sample(&request, &answer, &mut admitted) {
             Ok(true) => "agree",
             Ok(false) => {
-                tracing::warn!("the exhaustive search found another pose than the answer's");
+                tracing::warn!("the exact engine found another pose than the answer");
                 "differ"
             }
             Err(error) => {
-                tracing::debug!(%error, "an answer could not be confirmed");
+                tracing::debug!(%error, "an answer could not be checked");
                 return;
             }
         };
-        self.metrics.confirmations.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.confirmations.get_or_create(&OutcomeLabel { outcome }).inc();
     }
 
-    fn refuse(&self, refusal: &Refusal) -> Status {
+    fn refuse(&self, refusal: &LocateRefusal) -> Status {
+        // Without its message, which holds a position.
+        tracing::debug!(reason = reason(refusal), "not located");
         self.count(reason(refusal));
         refused(refusal)
     }
 
-    fn question(&self, request: LocalizeRequest, deadline: Option<Instant>) -> Result<Asked, Violation> {
+    fn decoded(
+        &self,
+        request: LocalizeRequest,
+        deadline: Option<Instant>,
+    ) -> Result<DecodedRequest, InvalidField> {
         let batch = decode::batch(request.batch, "batch")?;
         let prior = required(request.prior, "prior")?;
         let (at, yaw_rad) = decode::geodetic_pose(prior.pose, "prior.pose")?;
@@ -178,8 +191,8 @@ impl Inner {
         let reference_time_us = batch.reference_time_us;
         let batch =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
-                .map_err(|e| Violation::new("batch.odometry", e))?;
-        let question = Question {
+                .map_err(|e| InvalidField::new("batch.odometry", e))?;
+        let request = LocateRequest {
             batch,
             at,
             yaw_rad,
@@ -190,24 +203,31 @@ impl Inner {
             deadline,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
-        Ok(Asked { question, reference_time_us, alert_limit_m: limit })
+        Ok(DecodedRequest { request, reference_time_us, alert_limit_m: limit })
     }
 
     fn count(&self, outcome: &'static str) {
-        self.metrics.fixes.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.fixes.get_or_create(&OutcomeLabel { outcome }).inc();
     }
 
     /// Metrics and the operators' feed.
-    fn tell(&self, answer: &Answer, response: &LocalizeResponse, prior_lat_deg: f64, prior_lon_deg: f64) {
+    fn record(
+        &self,
+        answer: &LocateAnswer,
+        response: &LocalizeResponse,
+        prior_lat_deg: f64,
+        prior_lon_deg: f64,
+    ) {
         let word = match response.status() {
             FixStatus::AboveAlertLimit => "ABOVE_ALERT_LIMIT",
             _ => verdict_word(&answer.alignment.verdict),
         };
+        tracing::debug!(status = word, align_ms = milliseconds(answer.timing.align), "located");
         self.count(word);
         self.metrics.align_seconds.observe(answer.timing.align.as_secs_f64());
         self.metrics.queue_seconds.observe(answer.timing.queued.as_secs_f64());
         let outcome = if answer.timing.window_cached { "hit" } else { "miss" };
-        self.metrics.windows.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.windows.get_or_create(&OutcomeLabel { outcome }).inc();
         let correction = answer.alignment.correction;
         let valid = response.protection.as_ref().is_some_and(|p| p.valid);
         self.feed.fixes.publish(FixEvent {
@@ -227,10 +247,10 @@ impl Inner {
     }
 }
 
-/// An answer that is to be confirmed.
-struct Doubt {
-    question: Question,
-    answer: Answer,
+/// An answer that is to be repeated with an exact engine.
+struct SampledCheck {
+    request: LocateRequest,
+    answer: LocateAnswer,
     admitted: Admitted,
 }
 
@@ -251,8 +271,8 @@ fn deadline(metadata: &MetadataMap) -> Option<Instant> {
     Instant::now().checked_add(wait)
 }
 
-struct Asked {
-    question: Question,
+struct DecodedRequest {
+    request: LocateRequest,
     reference_time_us: i64,
     alert_limit_m: f64,
 }

@@ -1,6 +1,6 @@
 //! gRPC for vehicles: decode and validate, call the domain, encode. No domain logic here.
 //!
-//! - [`violation`], [`decode`]: columns of the contract to values of the core, or the path of the
+//! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.
@@ -8,10 +8,10 @@
 pub mod decode;
 mod get_coverage;
 mod get_tiles;
+mod invalid_field;
 mod localize;
 pub mod status;
 mod upload;
-mod violation;
 
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -21,6 +21,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::locating::Expectations;
 use crate::store::MapStore;
+use crate::trace::in_current_span;
 pub use localize::LocalizationApi;
 pub use upload::MappingApi;
 
@@ -45,8 +46,8 @@ impl MapApi {
         Self { store, expectations, reads: Arc::new(tokio::sync::Semaphore::new(at_once)), stall }
     }
 
-    /// A place among the readers.
-    fn place(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
+    /// The permit to read.
+    fn reader(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
         let busy = |_| status::overloaded("too many readers at once", std::time::Duration::from_secs(1));
         self.reads.clone().try_acquire_owned().map_err(busy)
     }
@@ -54,14 +55,14 @@ impl MapApi {
 
 #[tonic::async_trait]
 impl v1::map_service_server::MapService for MapApi {
-    type GetTilesStream = get_tiles::Answer;
+    type GetTilesStream = get_tiles::TileStream;
 
     async fn get_tiles(
         &self,
         request: Request<v1::GetTilesRequest>,
     ) -> Result<Response<Self::GetTilesStream>, Status> {
-        let place = self.place()?;
-        get_tiles::get_tiles(self.store.clone(), request.into_inner(), place, self.stall)
+        let permit = self.reader()?;
+        get_tiles::get_tiles(self.store.clone(), request.into_inner(), permit, self.stall)
             .await
             .map(Response::new)
     }
@@ -70,9 +71,9 @@ impl v1::map_service_server::MapService for MapApi {
         &self,
         request: Request<v1::GetCoverageRequest>,
     ) -> Result<Response<v1::GetCoverageResponse>, Status> {
-        let place = self.place()?;
+        let permit = self.reader()?;
         let known = (self.store.clone(), self.expectations.clone());
-        get_coverage::get_coverage(known, request.into_inner(), place).await.map(Response::new)
+        get_coverage::get_coverage(known, request.into_inner(), permit).await.map(Response::new)
     }
 }
 
@@ -88,11 +89,11 @@ impl v1::mapping_service_server::MappingService for MappingApi {
 
 /// Runs what may block on the disk or compute for long, off the async threads.
 ///
-/// It runs to its end even when the caller goes away.
+/// It runs to its end even when the caller goes away, in the span of the request.
 pub(crate) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Status> {
-    tokio::task::spawn_blocking(work).await.map_err(|error| status::torn(&error))
+    tokio::task::spawn_blocking(in_current_span(work)).await.map_err(|error| status::torn(&error))
 }
 
 /// Microseconds since the Unix epoch.

@@ -1,4 +1,4 @@
-//! Every error of the service as a `tonic::Status` with `google.rpc` details, in one place.
+//! Every error of the service as a `tonic::Status` with `google.rpc` details.
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -7,7 +7,7 @@ use std::time::Duration;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-use super::violation::Violation;
+use super::invalid_field::InvalidField;
 use crate::store;
 
 /// The domain of every `google.rpc.ErrorInfo`.
@@ -15,7 +15,7 @@ const DOMAIN: &str = "echofix";
 
 /// `INVALID_ARGUMENT` with `google.rpc.BadRequest`: a field of the request breaks a rule.
 #[must_use]
-pub fn invalid(violation: &Violation) -> Status {
+pub fn invalid(violation: &InvalidField) -> Status {
     let details = ErrorDetails::with_bad_request_violation(&violation.field, &violation.description);
     Status::with_error_details(Code::InvalidArgument, violation.to_string(), details)
 }
@@ -45,11 +45,11 @@ pub fn unavailable(message: impl Display, retry_after: Duration) -> Status {
 pub fn store(error: &store::Error) -> Status {
     match error {
         store::Error::Rebuilding { .. } => unavailable(error, Duration::from_secs(5)),
-        store::Error::Unknown(told) => Status::not_found(told),
-        store::Error::Unusable(told) => Status::invalid_argument(told),
+        store::Error::Unknown(what) => Status::not_found(what),
+        store::Error::Unusable(what) => Status::invalid_argument(what),
         store::Error::Io { .. } | store::Error::Stopped(_) => {
             tracing::error!(%error, "the store refuses");
-            // The words name files of the machine; the vehicle only needs to know when to come again.
+            // The message names files of the machine; the vehicle needs the time of its next attempt only.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))
         }
         store::Error::Tiles(_) | store::Error::Damaged { .. } | store::Error::InUse(_) => {
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn details_tell_what_programs_need() {
-        let status = invalid(&Violation::new("batch.scans.range_m", "is negative"));
+        let status = invalid(&InvalidField::new("batch.scans.range_m", "is negative"));
         assert_eq!(status.code(), Code::InvalidArgument);
         let violation = status.get_details_bad_request().unwrap().field_violations.remove(0);
         assert_eq!((&*violation.field, &*violation.description), ("batch.scans.range_m", "is negative"));

@@ -1,4 +1,4 @@
-//! `MappingService.Upload`: receive, check, journal, answer.
+//! `MappingService.UploadRecord`: receive, check, journal, answer.
 //!
 //! - [`receive`]: the messages, bounded in bytes, detections and the caller's silence.
 //! - [`evidence`]: what a vehicle gathered itself.
@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use echofix_core::evidence::Pass;
 use echofix_core::evidence::build::{BuildError, BuiltEvidence, build_evidence};
+use echofix_core::time::day_of;
 use echofix_proto::v1::{DroppedDetections, TileContribution, UploadRequest, UploadResponse};
 use prost::Message;
 use tokio::sync::Semaphore;
@@ -18,27 +19,25 @@ use tokio_stream::Stream;
 use tonic::Status;
 use uuid::Uuid;
 
-use super::violation::Violation;
+use super::invalid_field::InvalidField;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
 use crate::mapping::MappingConfig;
-use crate::metrics::{Metrics, Outcome};
-use crate::store::{MapStore, Receipt, Upload};
-use receive::{Body, Received};
+use crate::metrics::{Metrics, OutcomeLabel};
+use crate::store::{MapStore, Receipt, UploadRecord};
+use receive::{ReceivedUpload, UploadBody};
 
-/// Microseconds of a day.
-const DAY_US: i64 = 86_400_000_000;
 /// When a vehicle that was turned away should come again.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Accepts contributions to the map.
+/// Accepts uploads.
 #[derive(Clone)]
 pub struct MappingApi {
     store: Arc<dyn MapStore>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     config: Arc<MappingConfig>,
-    places: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
     /// The longest silence of a caller.
     stall: Duration,
 }
@@ -53,8 +52,8 @@ impl MappingApi {
         config: MappingConfig,
         stall: Duration,
     ) -> Self {
-        let places = Arc::new(Semaphore::new(config.uploads_at_once));
-        Self { store, feed, metrics, config: Arc::new(config), places, stall }
+        let permits = Arc::new(Semaphore::new(config.uploads_at_once));
+        Self { store, feed, metrics, config: Arc::new(config), permits, stall }
     }
 
     /// One upload, from its first message to its answer.
@@ -62,8 +61,8 @@ impl MappingApi {
         &self,
         requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
     ) -> Result<UploadResponse, Status> {
-        let place = self.places.clone().try_acquire_owned();
-        let place = place.map_err(|_| self.shed("too many uploads at once"))?;
+        let permit = self.permits.clone().try_acquire_owned();
+        let permit = permit.map_err(|_| self.shed("too many uploads at once"))?;
         let progress = *self.store.progress().borrow();
         if progress.journaled.saturating_sub(progress.epoch) > self.config.max_unfolded {
             return Err(self.shed("uploads wait to be folded"));
@@ -74,8 +73,8 @@ impl MappingApi {
         let (id, this) = (received.id, self.clone());
         // Not tied to this call: once begun, it ends, whether or not the caller waits for it.
         let outcome = blocking(move || {
-            let outcome = this.count_in(received);
-            drop(place);
+            let outcome = this.validate_and_commit(received);
+            drop(permit);
             outcome
         })
         .await?;
@@ -85,21 +84,24 @@ impl MappingApi {
     }
 
     /// Checks a received upload and journals it.
-    fn count_in(&self, received: Received) -> Result<UploadResponse, Error> {
-        let Received { id, contributor, day, body } = received;
+    fn validate_and_commit(&self, received: ReceivedUpload) -> Result<UploadResponse, Error> {
+        let ReceivedUpload { id, contributor, day, body } = received;
         if let Some(receipt) = self.store.counted(id)? {
             return repeated(receipt);
         }
         let forget_before = self.oldest_day(day)?;
         let contributed = match body {
-            Body::Scans(submission) => build_evidence(submission, &self.config.limits())?,
-            Body::Evidence(evidence) => evidence.checked(&self.config)?,
+            UploadBody::Scans(submission) => build_evidence(submission, &self.config.limits())?,
+            UploadBody::Evidence(evidence) => evidence.checked(&self.config)?,
         };
         let response = response(id, &contributed);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.delta, response.encode_to_vec());
-        match self.store.commit(Upload { id, pass, forget_before, contribution, answer })? {
-            Receipt::Counted { epoch } => Ok(UploadResponse { epoch, ..response }),
+        match self.store.commit(UploadRecord { id, pass, forget_before, contribution, answer })? {
+            Receipt::Counted { epoch } => {
+                tracing::debug!(epoch, "upload counted");
+                Ok(UploadResponse { epoch, ..response })
+            }
             duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
         }
     }
@@ -110,7 +112,7 @@ impl MappingApi {
         if most_days == 0 {
             return Ok(0);
         }
-        let today = (now_us() / DAY_US) as u16;
+        let today = day_of(now_us());
         let age_days = today.saturating_sub(day);
         if age_days > most_days {
             return Err(Error::TooOld { age_days, most_days });
@@ -124,7 +126,7 @@ impl MappingApi {
     }
 
     fn count(&self, outcome: &'static str) {
-        self.metrics.uploads.get_or_create(&Outcome { outcome }).inc();
+        self.metrics.uploads.get_or_create(&OutcomeLabel { outcome }).inc();
     }
 
     fn publish(&self, id: Uuid, outcome: &Result<UploadResponse, Error>) {
@@ -138,7 +140,7 @@ impl MappingApi {
         let response = match outcome {
             Ok(response) => response,
             Err(error) => {
-                // Not which: ids tell when they were made.
+                // Not which: from an id can be read when it was made.
                 tracing::info!(reason = word, %error, "upload refused");
                 &nothing
             }
@@ -221,13 +223,13 @@ impl Error {
     fn status(&self) -> Status {
         match self {
             Self::Refused(refusal @ (BuildError::TooManyTiles { .. } | BuildError::Scans(_))) => {
-                status::invalid(&Violation::new("chunk.scans", refusal))
+                status::invalid(&InvalidField::new("chunk.scans", refusal))
             }
             Self::Refused(refusal @ BuildError::Poses(_)) => {
-                status::invalid(&Violation::new("chunk.poses", refusal))
+                status::invalid(&InvalidField::new("chunk.poses", refusal))
             }
             Self::Refused(refusal) => status::refused(self.reason(), refusal, &[]),
-            Self::Evidence(why) => status::invalid(&Violation::new("evidence.contribution", why)),
+            Self::Evidence(why) => status::invalid(&InvalidField::new("evidence.contribution", why)),
             Self::TooOld { .. } => status::refused(self.reason(), self, &[]),
             Self::Store(error) => status::store(error),
             Self::Answer(_) => {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Path, Query, State as Shared};
+use axum::extract::{Path, Query, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use echofix_core::geo::{Grid, LatLon, TILE_M, TileId};
@@ -16,15 +16,15 @@ use super::App;
 use super::day::iso_date;
 use super::error::Error;
 use super::raster::corners;
-use crate::store::{MapStore, Progress, State, StoredTile};
+use crate::store::{MapProgress, MapStatus, MapStore, StoredTile};
 
 /// `GET /api/v1/map`
-pub async fn map(Shared(app): Shared<Arc<App>>) -> Result<Response, Error> {
+pub async fn map(State(app): State<Arc<App>>) -> Result<Response, Error> {
     let artist = Arc::clone(&app.artist);
     let store = Arc::clone(&app.state.store);
-    let body = app.places.work(move || {
+    let body = app.limiter.work(move || {
         let overview = artist.overview()?;
-        let (mut body, totals) = (told(&store.progress().borrow()), store.totals());
+        let (mut body, totals) = (progress_json(&store.progress().borrow()), store.totals());
         let zones = overview.zones.iter().map(|(zone, tiles)| {
             let hemisphere = if zone.is_south() { "south" } else { "north" };
             json!({ "epsg": zone.epsg(), "name": format!("UTM {} {hemisphere}", zone.number()), "tiles": tiles })
@@ -47,11 +47,11 @@ pub async fn map(Shared(app): Shared<Arc<App>>) -> Result<Response, Error> {
 }
 
 /// How far the map is, as JSON.
-pub fn told(progress: &Progress) -> Value {
+pub fn progress_json(progress: &MapProgress) -> Value {
     let state = match progress.state {
-        State::Rebuilding => "rebuilding",
-        State::Serving => "serving",
-        State::Stalled => "stalled",
+        MapStatus::Rebuilding => "rebuilding",
+        MapStatus::Serving => "serving",
+        MapStatus::Stalled => "stalled",
     };
     let building = progress
         .building
@@ -66,17 +66,17 @@ pub fn told(progress: &Progress) -> Value {
 
 /// `?lat=&lon=`
 #[derive(Deserialize)]
-pub struct At {
+pub struct PositionQuery {
     lat: f64,
     lon: f64,
 }
 
 /// `GET /api/v1/tiles/at?lat=&lon=`
 pub async fn tile_at(
-    Shared(app): Shared<Arc<App>>,
-    at: Result<Query<At>, QueryRejection>,
+    State(app): State<Arc<App>>,
+    at: Result<Query<PositionQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
-    let Query(At { lat, lon }) = at?;
+    let Query(PositionQuery { lat, lon }) = at?;
     let at = LatLon { lat_deg: lat, lon_deg: lon };
     let grid = Grid::of(at)?;
     let id = TileId::of(grid.zone(), grid.project(at)?);
@@ -85,7 +85,7 @@ pub async fn tile_at(
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}`
 pub async fn tile(
-    Shared(app): Shared<Arc<App>>,
+    State(app): State<Arc<App>>,
     Path((epsg, x, y)): Path<(String, String, String)>,
 ) -> Result<Response, Error> {
     described(&app, format!("{epsg}/{x}/{y}").parse()?).await
@@ -93,7 +93,7 @@ pub async fn tile(
 
 async fn described(app: &App, id: TileId) -> Result<Response, Error> {
     let store = Arc::clone(&app.state.store);
-    Ok(fresh(app.places.work(move || describe(&*store, id)).await?))
+    Ok(fresh(app.limiter.work(move || describe(&*store, id)).await?))
 }
 
 fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
@@ -133,12 +133,12 @@ fn fresh(body: Value) -> Response {
 
 #[cfg(test)]
 mod tests {
-    use crate::http::testing::{Site, austin, json_of};
+    use crate::http::testing::{TestSite, austin, json_of};
     use serde_json::{Value, json};
 
     #[tokio::test]
     async fn the_map_in_numbers() {
-        let site = Site::with_tiles(&[(austin(), &[(0, 1), (5, 3)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(0, 1), (5, 3)])]);
         let body = json_of(site.get("/api/v1/map").await).await;
         assert_eq!((&body["totals"]["tiles"], &body["totals"]["cells"]), (&json!(1), &json!(2)));
         assert_eq!(body["zones"], json!([{ "epsg": 32614, "name": "UTM 14 north", "tiles": 1 }]));
@@ -149,14 +149,14 @@ mod tests {
 
     #[tokio::test]
     async fn an_empty_map_says_null_and_not_nonsense() {
-        let body = json_of(Site::default().get("/api/v1/map").await).await;
+        let body = json_of(TestSite::default().get("/api/v1/map").await).await;
         assert_eq!((&body["bounds"], &body["center"]), (&Value::Null, &Value::Null));
         assert_eq!(body["totals"]["newest_date"], Value::Null);
     }
 
     #[tokio::test]
     async fn a_tile_is_found_by_its_name_and_by_a_position_in_it() {
-        let site = Site::with_tiles(&[(austin(), &[(0, 1), (5, 3), (6, 3)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(0, 1), (5, 3), (6, 3)])]);
         let by_name = json_of(site.get(&format!("/api/v1/tiles/{}", austin())).await).await;
         assert_eq!(by_name["passes"], json!([{ "passes": 1, "cells": 1 }, { "passes": 3, "cells": 2 }]));
         assert_eq!(by_name["newest_date"], "2024-10-04");
@@ -166,8 +166,8 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_no_tile_is_told_apart_from_an_empty_one() {
-        let site = Site::default();
+    async fn what_is_no_tile_is_distinguished_from_an_empty_one() {
+        let site = TestSite::default();
         for (path, status) in [
             ("/api/v1/tiles/32614/1/2", 404),
             ("/api/v1/tiles/4326/1/2", 400),

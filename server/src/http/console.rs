@@ -1,4 +1,5 @@
-//! The page an operator looks at, embedded in the binary by the build script.
+//! The page an operator looks at, embedded in the binary by the build script. Without the feature `console` a plain page
+//! stands in its place.
 
 use axum::extract::Path;
 use axum::http::{HeaderMap, header};
@@ -6,7 +7,22 @@ use axum::response::{IntoResponse, Response};
 
 use super::error::Error;
 
+#[cfg(feature = "console")]
 include!(concat!(env!("OUT_DIR"), "/console_assets.rs"));
+
+#[cfg(not(feature = "console"))]
+static ASSETS: [Asset; 1] = [Asset { name: "index.html", plain: NOT_BUILT_IN, gzip: None }];
+
+/// What stands for the console in a service that was built without it.
+#[cfg(not(feature = "console"))]
+const NOT_BUILT_IN: &[u8] = br#"<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>Echofix</title>
+<p>The console is not built into this service: it was compiled without the feature <code>console</code>.
+<p>What it would show is described in <a href="/openapi.json">/openapi.json</a>.
+</html>
+"#;
 
 /// A file of the console.
 struct Asset {
@@ -73,13 +89,25 @@ fn content_type(name: &str) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    #[cfg(feature = "console")]
     use super::*;
-    use crate::http::testing::{Site, bytes_of};
+    use crate::http::testing::{TestSite, bytes_of};
+    #[cfg(feature = "console")]
     use axum::http::Method;
+
+    #[cfg(not(feature = "console"))]
+    #[tokio::test]
+    async fn a_plain_page_says_that_there_is_no_console() {
+        let response = TestSite::default().get("/").await;
+        assert_eq!(response.status(), 200);
+        assert_eq!(response.headers()["content-type"], "text/html; charset=utf-8");
+        assert!(bytes_of(response).await.windows(12).any(|part| part == b"not built in"));
+        assert_eq!(TestSite::default().get("/assets/none.js").await.status(), 404);
+    }
 
     #[tokio::test]
     async fn the_page_allows_only_what_it_brings() {
-        let response = Site::default().get("/").await;
+        let response = TestSite::default().get("/").await;
         let policy = response.headers()["content-security-policy"].to_str().unwrap();
         assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
         assert_eq!(response.headers()["content-type"], "text/html; charset=utf-8");
@@ -88,9 +116,10 @@ mod tests {
         assert!(page.contains("Echofix") && !page.contains("=\"http") && !page.contains("<style"), "{page}");
     }
 
+    #[cfg(feature = "console")]
     #[tokio::test]
     async fn everything_the_page_names_is_served() {
-        let site = Site::default();
+        let site = TestSite::default();
         let page = String::from_utf8(bytes_of(site.get("/").await).await.to_vec()).unwrap();
         let named: Vec<_> = page.split('"').filter(|part| part.starts_with("/assets/")).collect();
         assert!(
@@ -109,9 +138,10 @@ mod tests {
         assert_eq!(site.get("/assets/..%2Findex.html").await.status(), 404);
     }
 
+    #[cfg(feature = "console")]
     #[tokio::test]
     async fn what_compresses_is_sent_compressed_to_whoever_accepts_it() {
-        let site = Site::default();
+        let site = TestSite::default();
         let script = ASSETS.iter().find(|a| content_type(a.name).starts_with("text/javascript")).unwrap();
         let path = format!("/{}", script.name);
         let response = site.send(Method::GET, &path, &[("accept-encoding", "br, gzip;q=0.5")]).await;

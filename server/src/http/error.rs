@@ -25,16 +25,16 @@ pub enum Error {
     /// The address is longer than any of ours.
     #[error("the address is longer than {limit} bytes")]
     AddressTooLong {
-        /// Bytes allowed.
+        /// Longest address that is served, bytes.
         limit: usize,
     },
-    /// Every place of this kind is taken.
+    /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
     Saturated(&'static str),
     /// No answer in time.
     #[error("no answer within {seconds} s")]
     TimedOut {
-        /// Time allowed.
+        /// How long an answer may take to begin, seconds.
         seconds: u64,
     },
     /// The store refused.

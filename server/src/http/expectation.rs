@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use super::App;
 use super::error::Error;
-use crate::locating::{Expectations, PLACES, expected_word};
+use crate::locating::{Expectations, SPOTS_PER_SIDE, expected_word};
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}/localizability`
 pub async fn tile(
@@ -22,7 +22,7 @@ pub async fn tile(
 ) -> Result<Response, Error> {
     let id: TileId = format!("{epsg}/{x}/{y}").parse()?;
     let expectations = Arc::clone(&app.state.expectations);
-    let body = app.places.work(move || describe(&expectations, id)).await?;
+    let body = app.limiter.work(move || describe(&expectations, id)).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
 }
 
@@ -30,8 +30,8 @@ fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id} and around it"));
     let tile = expectations.tile(id)?.ok_or_else(nothing)?;
     let grid = Grid::new(id.zone)?;
-    let places = tile.places().map(|(column, row, expected)| {
-        let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / PLACES as f64);
+    let spots = tile.spots().map(|(column, row, expected)| {
+        let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / SPOTS_PER_SIDE as f64);
         let origin = id.origin();
         let pose = Pose2::new(origin[0] + middle[0], origin[1] + middle[1], expected.weak_direction_rad());
         let (at, direction_rad) = grid.pose_to_geodetic(&pose)?;
@@ -48,8 +48,8 @@ fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
             "rival_m": expected.rival.map(|rival| [rival.x_m, rival.y_m]),
         }))
     });
-    let places = places.collect::<Result<Vec<_>, Error>>()?;
-    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": places }))
+    let spots = spots.collect::<Result<Vec<_>, Error>>()?;
+    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": spots }))
 }
 
 /// The margin; JSON knows no infinity, which stands for no rival.
@@ -59,16 +59,16 @@ fn finite(expected: &Localizability) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use crate::http::testing::{Site, austin, json_of};
+    use crate::http::testing::{TestSite, austin, json_of};
     use echofix_core::geo::TileId;
     use serde_json::json;
     use std::sync::atomic::Ordering;
 
-    /// Catches what is computed anew although the map has not changed, or kept although it has.
+    /// Catches what is computed anew although the map has not changed, or cached although it has.
     #[tokio::test]
     async fn a_tile_is_assessed_once_a_version() {
         let cells: Vec<(u32, u32)> = (0..40).map(|k| (k * 6007 % (512 * 512), 1)).collect();
-        let site = Site::with_tiles(&[(austin(), &cells)]);
+        let site = TestSite::with_tiles(&[(austin(), &cells)]);
         let path = format!("/api/v1/tiles/{}/localizability", austin());
         let first = json_of(site.get(&path).await).await;
         assert_eq!((&first["version"], first["places"].as_array().unwrap().len()), (&json!(1), 4));
@@ -88,7 +88,7 @@ mod tests {
 
     #[tokio::test]
     async fn an_empty_tile_beside_a_mapped_one_has_expectations_and_a_far_one_has_none() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         for (x, status) in [(austin().x + 1, 200), (austin().x + 2, 404)] {
             let id = TileId { x, ..austin() };
             assert_eq!(

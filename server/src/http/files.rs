@@ -22,6 +22,7 @@ use super::error::Error;
 use super::operations::work;
 use super::raster::corners;
 use crate::store::{self, MapStore, Operations, Region};
+use crate::trace::in_current_span;
 
 /// Bytes handed on at a time.
 const CHUNK: usize = 64 << 10;
@@ -33,18 +34,18 @@ const BINARY: &str = "application/octet-stream";
 
 /// `?box=west,south,east,north`
 #[derive(Deserialize)]
-pub struct Area {
+pub struct ExportQuery {
     r#box: Option<String>,
 }
 
 /// `GET /api/v1/map/export?box=`
 pub async fn export(
     State(app): State<Arc<App>>,
-    area: Result<Query<Area>, QueryRejection>,
+    area: Result<Query<ExportQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let bounds = area?.0.r#box.as_deref().map_or(Ok([-180.0, -90.0, 180.0, 90.0]), bounds)?;
     let store = Arc::clone(&app.state.store);
-    let tiles = app.places.work(move || inside(&*store, bounds)).await?;
+    let tiles = app.limiter.work(move || inside(&*store, bounds)).await?;
     if tiles.is_empty() {
         return Err(Error::NotFound("there is no map in this box".to_owned()));
     }
@@ -66,7 +67,7 @@ pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Res
     let (sender, receiver) = mpsc::channel(CHUNKS);
     let sending = send(request.into_body().into_data_stream(), sender);
     let importing = work(&app, move |operations| {
-        let mut file = Received { receiver, rest: Bytes::new(), left: MAX_IMPORT };
+        let mut file = ImportBody { receiver, rest: Bytes::new(), left: MAX_IMPORT };
         Ok(operations.import(&mut file)?)
     });
     let (imported, ()) = tokio::join!(importing, sending);
@@ -83,7 +84,7 @@ pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Res
 async fn send(mut body: BodyDataStream, sender: mpsc::Sender<io::Result<Bytes>>) {
     while let Some(chunk) = body.next().await {
         let chunk = chunk.map_err(|error| io::Error::other(error.to_string()));
-        // Nobody listens any more once the import has failed.
+        // The receiver is gone once the import has failed.
         if sender.send(chunk).await.is_err() {
             return;
         }
@@ -91,13 +92,13 @@ async fn send(mut body: BodyDataStream, sender: mpsc::Sender<io::Result<Bytes>>)
 }
 
 /// A body that is read in blocking work.
-struct Received {
+struct ImportBody {
     receiver: mpsc::Receiver<io::Result<Bytes>>,
     rest: Bytes,
     left: u64,
 }
 
-impl Read for Received {
+impl Read for ImportBody {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         while self.rest.is_empty() {
             match self.receiver.blocking_recv() {
@@ -113,8 +114,8 @@ impl Read for Received {
     }
 }
 
-/// A file that is sent while it is made. When making it fails, the connection breaks: nobody takes half a
-/// file for a whole one.
+/// A file that is sent while it is made. When making it fails, the connection breaks, so that half a
+/// file is not taken for a whole one.
 fn streamed(
     app: &App,
     kind: &'static str,
@@ -123,17 +124,17 @@ fn streamed(
 ) -> Result<Response, Error> {
     let (sender, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     let operations = Arc::clone(&app.state.operations);
-    let place = app.places.operate()?;
-    tokio::task::spawn_blocking(move || {
-        let _held = place;
-        let mut out = BufWriter::with_capacity(CHUNK, Sending(sender.clone()));
-        let made = make(&*operations, &mut out).map(|_| ());
-        if let Err(error) = made.map_err(|error| error.to_string()).and_then(|()| flushed(out)) {
-            tracing::warn!(error, "a file was not sent whole");
+    let permit = app.limiter.operate()?;
+    tokio::task::spawn_blocking(in_current_span(move || {
+        let _held = permit;
+        let mut out = BufWriter::with_capacity(CHUNK, BodyWriter(sender.clone()));
+        let made = make(&*operations, &mut out).map_err(NotSent::from);
+        if let Err(error) = made.and_then(|_| Ok(out.flush()?)) {
+            tracing::warn!(%error, "a file was not sent whole");
             // The reader may be gone.
             let _ = sender.blocking_send(Err(io::Error::other(error)));
         }
-    });
+    }));
     let disposition = format!("attachment; filename=\"{name}\"");
     let headers = [
         (header::CONTENT_TYPE, kind.to_owned()),
@@ -143,13 +144,18 @@ fn streamed(
     Ok((headers, Body::from_stream(ReceiverStream::new(receiver))).into_response())
 }
 
-fn flushed(mut out: BufWriter<Sending>) -> Result<(), String> {
-    out.flush().map_err(|error| error.to_string())
+/// Why a file was not sent whole.
+#[derive(Debug, thiserror::Error)]
+enum NotSent {
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    #[error("the rest could not be sent: {0}")]
+    Rest(#[from] io::Error),
 }
 
-struct Sending(mpsc::Sender<io::Result<Bytes>>);
+struct BodyWriter(mpsc::Sender<io::Result<Bytes>>);
 
-impl Write for Sending {
+impl Write for BodyWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
         self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes))).map_err(gone)?;
@@ -163,19 +169,19 @@ impl Write for Sending {
 
 /// West, south, east, north, degrees.
 fn bounds(text: &str) -> Result<[f64; 4], Error> {
-    let told = || {
+    let malformed = || {
         Error::BadRequest(
             "box must be west,south,east,north in degrees, not crossing the date line".to_owned(),
         )
     };
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
-    let bounds: [f64; 4] = numbers.ok().and_then(|numbers| numbers.try_into().ok()).ok_or_else(told)?;
+    let bounds: [f64; 4] = numbers.ok().and_then(|numbers| numbers.try_into().ok()).ok_or_else(malformed)?;
     let [west, south, east, north] = bounds;
     let sound = (-180.0..=180.0).contains(&west)
         && (-180.0..=180.0).contains(&east)
         && (-90.0..=90.0).contains(&south)
         && (-90.0..=90.0).contains(&north);
-    if sound && west <= east && south <= north { Ok(bounds) } else { Err(told()) }
+    if sound && west <= east && south <= north { Ok(bounds) } else { Err(malformed()) }
 }
 
 /// The tiles that touch a box.
@@ -202,11 +208,11 @@ fn inside(store: &dyn MapStore, [west, south, east, north]: [f64; 4]) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::testing::{Kept, bytes_of, json_of};
+    use crate::http::testing::{StoredSite, bytes_of, json_of};
 
     #[tokio::test]
     async fn a_region_goes_out_of_one_map_and_into_another() {
-        let (here, there) = (Kept::with_uploads(5).await, Kept::with_uploads(0).await);
+        let (here, there) = (StoredSite::with_uploads(5).await, StoredSite::with_uploads(0).await);
         let file = bytes_of(here.get("/api/v1/map/export").await).await;
         let response = there.send("/api/v1/map/import", BINARY, file.to_vec()).await;
         assert_eq!(response.status(), 200);
@@ -225,7 +231,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_box_is_checked_and_cuts() {
-        let site = Kept::with_uploads(5).await;
+        let site = StoredSite::with_uploads(5).await;
         for (area, status) in [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 400), ("0,NaN,1,1", 400)] {
             assert_eq!(site.get(&format!("/api/v1/map/export?box={area}")).await.status(), status, "{area}");
         }
@@ -236,7 +242,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_backup_is_a_whole_archive() {
-        let site = Kept::with_uploads(3).await;
+        let site = StoredSite::with_uploads(3).await;
         let response = site.get("/api/v1/map/backup").await;
         assert_eq!(response.headers()["content-type"], "application/x-tar");
         let archive = bytes_of(response).await;

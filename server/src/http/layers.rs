@@ -24,7 +24,7 @@ pub async fn tile(
     let layer: Layer = layer.parse()?;
     let view = View::parse(&z, &x, &file)?;
     let artist: Arc<Artist> = Arc::clone(&app.artist);
-    let answer = app.places.work(move || artist.draw(layer, view, |tag| is_known(&headers, tag))).await?;
+    let answer = app.limiter.work(move || artist.draw(layer, view, |tag| is_known(&headers, tag))).await?;
     let headers = [(header::ETAG, answer.tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
     Ok(match answer.png {
         Some(png) => (headers, [(header::CONTENT_TYPE, "image/png")], png).into_response(),
@@ -51,7 +51,7 @@ pub async fn tilejson(
         || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
     let layer: Layer = file.strip_suffix(".json").ok_or_else(expected)?.parse()?;
     let artist = Arc::clone(&app.artist);
-    let overview = app.places.work(move || artist.overview()).await?;
+    let overview = app.limiter.work(move || artist.overview()).await?;
     let body = json!({
         "tilejson": "3.0.0",
         "name": format!("Echofix {layer}"),
@@ -83,13 +83,13 @@ fn origin(headers: &HeaderMap) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::testing::{Site, austin, json_of, pixels_of};
+    use crate::http::testing::{TestSite, austin, json_of, pixels_of};
     use axum::http::Method;
     use echofix_core::geo::{CELL_M, Grid, LatLon, TileId, Zone};
     use std::sync::atomic::Ordering;
 
     /// The map tile at a zoom that shows a cell of the Austin tile, and the pixel of its centre.
-    fn place(z: u8, cell: u32) -> (String, [usize; 2]) {
+    fn tile_and_pixel(z: u8, cell: u32) -> (String, [usize; 2]) {
         let id = austin();
         let [x0, y0] = id.origin();
         let centre =
@@ -107,9 +107,9 @@ mod tests {
     #[tokio::test]
     async fn a_known_cell_is_drawn_at_its_pixel() {
         let cell = 300 * 512 + 200;
-        let site = Site::with_tiles(&[(austin(), &[(cell, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(cell, 5)])]);
         for z in 0..=22 {
-            let (path, [px, py]) = place(z, cell);
+            let (path, [px, py]) = tile_and_pixel(z, cell);
             for layer in ["evidence", "coverage", "age"] {
                 let pixels = pixels_of(site.get(&format!("/tiles/{layer}/{path}.png")).await).await;
                 assert!(pixels[py * 256 + px][3] > 0, "{layer} at zoom {z}");
@@ -123,8 +123,8 @@ mod tests {
     #[tokio::test]
     async fn a_cell_is_as_wide_as_its_ground_at_the_deepest_zoom() {
         let cell = 300 * 512 + 200;
-        let site = Site::with_tiles(&[(austin(), &[(cell, 5)])]);
-        let (path, _) = place(22, cell);
+        let site = TestSite::with_tiles(&[(austin(), &[(cell, 5)])]);
+        let (path, _) = tile_and_pixel(22, cell);
         let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}.png")).await).await;
         let drawn = pixels.iter().filter(|p| p[3] > 0).count() as f64;
         // 0.1 m over 0.0373 m * cos(30.27 deg) of a pixel is 3.10 pixels.
@@ -133,8 +133,8 @@ mod tests {
 
     #[tokio::test]
     async fn dense_screens_get_twice_the_pixels() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
-        let (path, [px, py]) = place(19, 7);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
+        let (path, [px, py]) = tile_and_pixel(19, 7);
         let pixels = pixels_of(site.get(&format!("/tiles/evidence/{path}@2x.png")).await).await;
         assert_eq!(pixels.len(), 512 * 512);
         let around = |i: usize| (2 * i).saturating_sub(1)..=2 * i + 2;
@@ -143,9 +143,9 @@ mod tests {
 
     #[tokio::test]
     async fn an_unchanged_tile_is_not_sent_again() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         for z in [3, 12, 19] {
-            let path = format!("/tiles/evidence/{}.png", place(z, 7).0);
+            let path = format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0);
             let first = site.get(&path).await;
             assert_eq!(
                 (first.status(), &first.headers()["cache-control"]),
@@ -168,8 +168,8 @@ mod tests {
     /// Breaks it: naming pictures by the versions of tiles alone, which a restored backup gives to others.
     #[tokio::test]
     async fn a_restored_map_is_sent_again() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
-        let path = format!("/tiles/evidence/{}.png", place(19, 7).0);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
+        let path = format!("/tiles/evidence/{}.png", tile_and_pixel(19, 7).0);
         let tag = site.get(&path).await.headers()["etag"].to_str().unwrap().to_owned();
         site.store.lineage.fetch_add(1, Ordering::Relaxed);
         let restored = site.send(Method::GET, &path, &[("if-none-match", &tag)]).await;
@@ -178,14 +178,14 @@ mod tests {
 
     #[tokio::test]
     async fn no_far_view_decodes_tiles_and_no_near_one_twice() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         let reads = || site.store.reads.load(Ordering::Relaxed);
         for z in 0..14 {
-            pixels_of(site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await).await;
+            pixels_of(site.get(&format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0)).await).await;
         }
         assert_eq!(reads(), 0);
         for layer in ["evidence", "age", "evidence"] {
-            pixels_of(site.get(&format!("/tiles/{layer}/{}.png", place(15, 7).0)).await).await;
+            pixels_of(site.get(&format!("/tiles/{layer}/{}.png", tile_and_pixel(15, 7).0)).await).await;
         }
         assert_eq!(reads(), 1);
     }
@@ -193,10 +193,12 @@ mod tests {
     #[tokio::test]
     async fn what_is_expected_of_fixes_is_drawn_near_and_follows_the_neighbours() {
         let beside = TileId { x: austin().x + 1, ..austin() };
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)]), (beside, &[(9, 1)])]);
-        let far = pixels_of(site.get(&format!("/tiles/localizability/{}.png", place(15, 7).0)).await).await;
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)]), (beside, &[(9, 1)])]);
+        let far =
+            pixels_of(site.get(&format!("/tiles/localizability/{}.png", tile_and_pixel(15, 7).0)).await)
+                .await;
         assert!(far.iter().all(|p| p[3] == 0), "from far away it would take too long");
-        let (path, [px, py]) = place(18, 7);
+        let (path, [px, py]) = tile_and_pixel(18, 7);
         let path = format!("/tiles/localizability/{path}.png");
         let first = site.get(&path).await;
         let tag = first.headers()["etag"].to_str().unwrap().to_owned();
@@ -226,7 +228,7 @@ mod tests {
             let x = (6.0_f64 + 180.0) / 360.0 * n;
             let y = (1.0 - 51_f64.to_radians().tan().asinh() / std::f64::consts::PI) / 2.0 * n;
             let path = format!("/tiles/evidence/17/{}/{}.png", x as u32, y as u32);
-            let pixels = pixels_of(Site::with_tiles(&tiles).get(&path).await).await;
+            let pixels = pixels_of(TestSite::with_tiles(&tiles).get(&path).await).await;
             // 6 degrees east is x = 67720.53 at this zoom: the border lies within the picture.
             let border = (x.fract() * 256.0).round() as usize;
             let count = |west: bool| {
@@ -242,10 +244,10 @@ mod tests {
 
     #[tokio::test]
     async fn a_map_that_is_not_whole_is_not_shown() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         site.store.rebuild();
         for z in [5, 12, 18] {
-            let response = site.get(&format!("/tiles/evidence/{}.png", place(z, 7).0)).await;
+            let response = site.get(&format!("/tiles/evidence/{}.png", tile_and_pixel(z, 7).0)).await;
             assert_eq!(
                 (response.status().as_u16(), &response.headers()["retry-after"]),
                 (503, &"1".parse().unwrap())
@@ -256,7 +258,7 @@ mod tests {
 
     #[tokio::test]
     async fn an_empty_tile_is_a_transparent_picture() {
-        let site = Site::default();
+        let site = TestSite::default();
         for z in [0, 11, 20] {
             let pixels = pixels_of(site.get(&format!("/tiles/evidence/{z}/0/0.png")).await).await;
             assert!(pixels.iter().all(|p| p[3] == 0));
@@ -265,7 +267,7 @@ mod tests {
 
     #[tokio::test]
     async fn bad_addresses_say_what_is_expected() {
-        let site = Site::default();
+        let site = TestSite::default();
         for (path, status, hint) in [
             ("/tiles/roads/0/0/0.png", 404, "evidence, coverage, age or localizability"),
             ("/tiles/evidence/23/0/0.png", 400, "z from 0 to 22"),
@@ -284,7 +286,7 @@ mod tests {
 
     #[tokio::test]
     async fn tilejson_tells_where_and_what() {
-        let site = Site::with_tiles(&[(austin(), &[(7, 5)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
         let body =
             json_of(site.send(Method::GET, "/tiles/age.json", &[("host", "map.example:8080")]).await).await;
         assert_eq!(body["tilejson"], "3.0.0");

@@ -1,4 +1,4 @@
-//! What one listener or many may cost: lengths, times, places.
+//! What one client or many may cost: lengths, times, permits.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,6 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
 use super::error::Error;
+use crate::trace::in_current_span;
 
 /// Longest address served, bytes; the longest sensible one is a tenth of it.
 const MAX_ADDRESS: usize = 1024;
@@ -20,9 +21,9 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 const OPERATE_WITHIN: Duration = Duration::from_hours(1);
 /// Operations on the whole map at once.
 const OPERATIONS: usize = 2;
-/// Requests that may wait for a place to render.
+/// Requests that may wait for a permit to render.
 const WAITING: usize = 64;
-/// Time a request waits for a place to render.
+/// Time a request waits for a permit to render.
 const WAIT_AT_MOST: Duration = Duration::from_secs(5);
 /// Event streams open at once.
 const LISTENERS: usize = 64;
@@ -54,22 +55,22 @@ fn with_safe_headers(mut response: Response) -> Response {
     response
 }
 
-/// Places to work in, so that a crowd of page views cannot take the machine from the vehicles.
-pub struct Places {
+/// Permits to work, so that many page views cannot take the machine from the vehicles.
+pub struct Limiter {
     waiting: Arc<Semaphore>,
     working: Arc<Semaphore>,
     listening: Arc<Semaphore>,
     operating: Arc<Semaphore>,
 }
 
-impl Default for Places {
+impl Default for Limiter {
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self::new(WAITING, cores.div_ceil(2), LISTENERS)
     }
 }
 
-impl Places {
+impl Limiter {
     /// So many may wait, work and listen at once.
     pub fn new(waiting: usize, working: usize, listening: usize) -> Self {
         let semaphore = |n| Arc::new(Semaphore::new(n));
@@ -81,7 +82,7 @@ impl Places {
         }
     }
 
-    /// Runs blocking work once there is a place for it.
+    /// Runs blocking work once there is a permit for it.
     ///
     /// # Errors
     /// When too many wait already or the wait is too long.
@@ -89,19 +90,19 @@ impl Places {
         &self,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        const FULL: Error = Error::Saturated("every place to render is taken");
+        const FULL: Error = Error::Saturated("all permits to render are taken");
         let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
-        let place = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
-        let place = place.map_err(|_| FULL)?.map_err(|_| FULL)?;
-        tokio::task::spawn_blocking(move || {
-            // Held by the work, not by the request: a client that hangs up frees no place early.
-            let _held = (queued, place);
+        let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
+        let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
+        tokio::task::spawn_blocking(in_current_span(move || {
+            // Held by the work, not by the request: a client that hangs up frees no permit early.
+            let _held = (queued, permit);
             work()
-        })
+        }))
         .await?
     }
 
-    /// A place for an operation on the whole map, given back when dropped.
+    /// A permit for an operation on the whole map, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
@@ -110,12 +111,12 @@ impl Places {
         Arc::clone(&self.operating).try_acquire_owned().map_err(|_| FULL)
     }
 
-    /// A place to listen from, given back when dropped.
+    /// A permit for an event stream, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
     pub fn listen(&self) -> Result<OwnedSemaphorePermit, Error> {
-        const FULL: Error = Error::Saturated("every place to listen is taken");
+        const FULL: Error = Error::Saturated("all event streams are taken");
         Arc::clone(&self.listening).try_acquire_owned().map_err(|_| FULL)
     }
 }
@@ -125,27 +126,27 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_crowd_is_turned_away_at_once() {
-        let places = Places::new(1, 1, 1);
+    async fn requests_beyond_the_queue_are_refused_at_once() {
+        let limiter = Limiter::new(1, 1, 1);
         let (release, wait) = std::sync::mpsc::channel::<()>();
-        let busy = places.work(move || Ok(wait.recv().is_ok()));
+        let busy = limiter.work(move || Ok(wait.recv().is_ok()));
         let turned_away = async {
-            let answer = places.work(|| Ok(())).await;
+            let answer = limiter.work(|| Ok(())).await;
             release.send(()).unwrap();
             answer
         };
         let (busy, turned_away) = tokio::join!(busy, turned_away);
         assert!(busy.unwrap());
         assert!(matches!(turned_away, Err(Error::Saturated(_))));
-        places.work(|| Ok(())).await.unwrap();
+        limiter.work(|| Ok(())).await.unwrap();
     }
 
     #[test]
-    fn listeners_are_bounded_and_their_place_comes_back() {
-        let places = Places::new(1, 1, 1);
-        let first = places.listen().unwrap();
-        assert!(matches!(places.listen(), Err(Error::Saturated(_))));
+    fn listeners_are_bounded_and_their_permit_comes_back() {
+        let limiter = Limiter::new(1, 1, 1);
+        let first = limiter.listen().unwrap();
+        assert!(matches!(limiter.listen(), Err(Error::Saturated(_))));
         drop(first);
-        assert!(places.listen().is_ok());
+        assert!(limiter.listen().is_ok());
     }
 }

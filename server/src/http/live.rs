@@ -23,11 +23,11 @@ const MAX_LIMIT: usize = 500;
 
 /// `?limit=`
 #[derive(Deserialize)]
-pub struct Limit {
+pub struct FeedQuery {
     limit: Option<usize>,
 }
 
-impl Limit {
+impl FeedQuery {
     fn get(&self) -> Result<usize, Error> {
         let limit = self.limit.unwrap_or(100);
         let refusal = || Error::BadRequest(format!("limit is {limit}; expected 1 to {MAX_LIMIT}"));
@@ -35,17 +35,17 @@ impl Limit {
     }
 }
 
-type LimitQuery = Result<Query<Limit>, QueryRejection>;
+type FeedParameters = Result<Query<FeedQuery>, QueryRejection>;
 
 /// `GET /api/v1/fixes`, newest first
-pub async fn fixes(State(app): State<Arc<App>>, limit: LimitQuery) -> Result<Response, Error> {
+pub async fn fixes(State(app): State<Arc<App>>, limit: FeedParameters) -> Result<Response, Error> {
     let mut fixes = app.state.feed.fixes.recent(limit?.get()?);
     fixes.reverse();
     Ok(fresh(json!({ "fixes": fixes })))
 }
 
 /// `GET /api/v1/uploads`, newest first
-pub async fn uploads(State(app): State<Arc<App>>, limit: LimitQuery) -> Result<Response, Error> {
+pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Result<Response, Error> {
     let mut uploads = app.state.feed.uploads.recent(limit?.get()?);
     uploads.reverse();
     Ok(fresh(json!({ "uploads": uploads })))
@@ -57,27 +57,29 @@ fn fresh(body: serde_json::Value) -> Response {
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains
 pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Error> {
-    let place = app.places.listen()?;
+    let permit = app.limiter.listen()?;
     let feed = &app.state.feed;
-    let map = WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::told(&now)));
-    let health = WatchStream::new(app.state.health.follow()).map(|now| event("health", &probes::told(&now)));
+    let map =
+        WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));
+    let health =
+        WatchStream::new(app.state.health.follow()).map(|now| event("health", &probes::readiness_json(&now)));
     let stream = map
         .merge(health)
-        .merge(told("fix", feed.fixes.subscribe()))
-        .merge(told("upload", feed.uploads.subscribe()))
+        .merge(feed_events("fix", feed.fixes.subscribe()))
+        .merge(feed_events("upload", feed.uploads.subscribe()))
         .map(Some);
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {
-        // The place is given back when the stream ends.
-        let _held = &place;
+        // The permit is returned when the stream ends.
+        let _held = &permit;
         event.map(Ok::<_, Infallible>)
     });
     let sse = Sse::new(stream).keep_alive(KeepAlive::new().interval(Duration::from_secs(15)));
     Ok(([("x-accel-buffering", "no")], sse))
 }
 
-/// Events of a feed; a listener that was too slow hears how many it missed.
-fn told<T>(name: &'static str, feed: Receiver<T>) -> impl Stream<Item = Event>
+/// Events of a feed; a listener that was too slow gets the number it missed.
+fn feed_events<T>(name: &'static str, feed: Receiver<T>) -> impl Stream<Item = Event>
 where
     T: Serialize + Clone + Send + 'static,
 {
@@ -98,7 +100,7 @@ fn event(name: &'static str, body: &impl Serialize) -> Event {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::testing::{Site, a_fix, an_upload, json_of};
+    use crate::http::testing::{TestSite, a_fix, an_upload, json_of};
 
     /// Reads the stream until `wanted` was seen.
     async fn read_until(body: axum::body::Body, wanted: &[&str]) -> String {
@@ -115,7 +117,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_published_fix_reaches_the_page() {
-        let site = Site::default();
+        let site = TestSite::default();
         let response = site.get("/api/v1/events").await;
         assert_eq!(response.headers()["content-type"], "text/event-stream");
         site.state.feed.fixes.publish(a_fix());
@@ -132,8 +134,8 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_new_epoch_is_told() {
-        let site = Site::default();
+    async fn a_new_epoch_is_feed_events() {
+        let site = TestSite::default();
         let response = site.get("/api/v1/events").await;
         site.store.publish_epoch(42);
         read_until(response.into_body(), &["\"epoch\":42"]).await;
@@ -141,7 +143,7 @@ mod tests {
 
     #[tokio::test]
     async fn the_stream_ends_when_the_service_drains() {
-        let site = Site::default();
+        let site = TestSite::default();
         let body = site.get("/api/v1/events").await.into_body();
         site.ending.send_replace(true);
         let whole = axum::body::to_bytes(body, 1 << 20);
@@ -150,7 +152,7 @@ mod tests {
 
     #[tokio::test]
     async fn lists_are_newest_first_and_limits_checked() {
-        let site = Site::default();
+        let site = TestSite::default();
         for answered_us in [1, 2, 3] {
             site.state.feed.fixes.publish(crate::feed::FixEvent { answered_us, ..a_fix() });
         }

@@ -1,7 +1,7 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
 //! - `error`: why a request was not answered, said once.
-//! - `limits`: what one request or a crowd may cost.
+//! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
 //! - `expectation`: what fixes in a tile can be expected to be.
@@ -41,12 +41,13 @@ use crate::health::Health;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
+use crate::trace::RequestSpanLayer;
 use error::Error;
 
 /// What the routes answer from.
 #[derive(Clone)]
 pub struct HttpState {
-    /// The map.
+    /// The map that is served.
     pub store: Arc<dyn MapStore>,
     /// What fixes can be expected to be.
     pub expectations: Arc<Expectations>,
@@ -66,20 +67,21 @@ pub struct HttpState {
 struct App {
     state: HttpState,
     artist: Arc<raster::Artist>,
-    places: limits::Places,
+    limiter: limits::Limiter,
 }
 
 /// The routes, ready to be served.
 pub fn router(state: HttpState) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
-    let app = Arc::new(App { state, artist, places: limits::Places::default() });
+    let app = Arc::new(App { state, artist, limiter: limits::Limiter::default() });
     routes()
         .into_iter()
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
         .layer(from_fn(limits::guard))
+        .layer(RequestSpanLayer::http())
         .with_state(app)
 }
 
@@ -103,7 +105,9 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/diff", get(operations::diff)),
         ("/api/v1/map/rollback", post(operations::rollback)),
         ("/api/v1/map/revoke", post(operations::revoke)),
-        ("/api/v1/map/settle", post(operations::settle)),
+        ("/api/v1/map/compact", post(operations::compact)),
+        // Its former name, which older commands use.
+        ("/api/v1/map/settle", post(operations::compact)),
         ("/api/v1/map/verify", get(operations::verify)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),
@@ -122,12 +126,12 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
 
 #[cfg(test)]
 mod tests {
-    use super::testing::{Site, json_of};
+    use super::testing::{TestSite, json_of};
     use axum::http::Method;
 
     #[tokio::test]
     async fn what_is_not_served_says_so_in_json() {
-        let site = Site::default();
+        let site = TestSite::default();
         let response = site.get("/nowhere").await;
         assert_eq!(response.status(), 404);
         assert_eq!(json_of(response).await["error"]["code"], "not_found");
@@ -137,9 +141,21 @@ mod tests {
         assert_eq!(response.status(), 414);
     }
 
+    /// Catches: a request whose answer does not name it, or names it by whatever the caller chose.
+    #[tokio::test]
+    async fn every_answer_names_its_request() {
+        let site = TestSite::default();
+        for path in ["/healthz", "/nowhere", "/api/v1/tiles/at?lat=30&lon=-97"] {
+            let given = site.send(Method::GET, path, &[("x-request-id", "op-7")]).await;
+            assert_eq!(given.headers()["x-request-id"], "op-7", "{path}");
+            let replaced = site.send(Method::GET, path, &[("x-request-id", "op 7")]).await;
+            assert!(replaced.headers()["x-request-id"].len() == 36, "{path}");
+        }
+    }
+
     #[tokio::test]
     async fn every_answer_forbids_guessing_its_type() {
-        let site = Site::default();
+        let site = TestSite::default();
         for path in ["/healthz", "/", "/nowhere", "/tiles/evidence/0/0/0.png"] {
             assert_eq!(site.get(path).await.headers()["x-content-type-options"], "nosniff", "{path}");
         }

@@ -15,7 +15,7 @@ pub async fn document() -> impl IntoResponse {
 mod tests {
     use super::DOCUMENT;
     use crate::feed::{FixEvent, UploadEvent};
-    use crate::http::testing::{Site, a_fix, an_upload, austin, json_of};
+    use crate::http::testing::{TestSite, a_fix, an_upload, austin, json_of};
     use serde_json::{Value, json};
     use std::collections::BTreeSet;
 
@@ -57,7 +57,7 @@ mod tests {
 
     #[tokio::test]
     async fn answers_have_the_described_properties() {
-        let site = Site::with_tiles(&[(austin(), &[(0, 1)])]);
+        let site = TestSite::with_tiles(&[(austin(), &[(0, 1)])]);
         let schemas = &document()["components"]["schemas"];
         let described = |name: &str| keys(&schemas[name]["properties"]);
         for (path, schema) in [
@@ -85,7 +85,7 @@ mod tests {
 
     #[tokio::test]
     async fn it_is_served() {
-        let body = json_of(Site::default().get("/openapi.json").await).await;
+        let body = json_of(TestSite::default().get("/openapi.json").await).await;
         assert_eq!(body["openapi"], json!("3.1.0"));
         assert_eq!(body["info"]["version"], env!("CARGO_PKG_VERSION"));
     }

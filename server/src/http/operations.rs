@@ -16,26 +16,27 @@ use serde_json::{Value, json};
 use uuid::Uuid;
 
 use super::App;
-use super::catalog::told;
+use super::catalog::progress_json;
 use super::day::{iso_date, parse_date};
 use super::error::Error;
-use crate::store::{Decision, Event, Operations, Quarantined, TileDiff, What};
+use crate::store::{Decision, EventKind, HistoryEvent, Operations, QuarantinedRecord, TileDiff};
+use crate::trace::in_current_span;
 
-/// Tiles of a difference that are told one by one, at most.
+/// Tiles of a difference that are listed, at most.
 const MAX_TILES: usize = 10_000;
-/// Events told at most.
+/// Events of the history that are listed, at most.
 const MAX_EVENTS: usize = 10_000;
 
 /// `?limit=`
 #[derive(Deserialize)]
-pub struct Limit {
+pub struct HistoryQuery {
     limit: Option<usize>,
 }
 
 /// `GET /api/v1/map/history?limit=`, newest first
 pub async fn history(
     State(app): State<Arc<App>>,
-    limit: Result<Query<Limit>, QueryRejection>,
+    limit: Result<Query<HistoryQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let limit = limit?.0.limit.unwrap_or(100);
     if !(1..=MAX_EVENTS).contains(&limit) {
@@ -46,21 +47,21 @@ pub async fn history(
     Ok(fresh(json!({ "events": events })))
 }
 
-fn event(event: &Event) -> Value {
+fn event(event: &HistoryEvent) -> Value {
     let mut body = json!({ "first": event.first, "last": event.last, "date": iso_date(event.day) });
     let rest = match event.what {
-        What::Uploads { uploads, contributors, taken_back } => json!({
+        EventKind::Uploads { uploads, contributors, taken_back } => json!({
             "kind": "uploads", "uploads": uploads, "contributors": contributors, "taken_back": taken_back,
         }),
-        What::Import { file, tiles, taken_back } => json!({
+        EventKind::Import { file, tiles, taken_back } => json!({
             "kind": "import", "file": file.to_string(), "tiles": tiles, "taken_back": taken_back,
         }),
-        What::Control { at_us, decision, takes_back } => {
+        EventKind::Control { at_us, decision, takes_back } => {
             let (kind, of) = match decision {
                 Decision::RevokeContributor => ("revoke_contributor", Value::Null),
                 Decision::RevokeUpload(id) => ("revoke_upload", id.to_string().into()),
                 Decision::Rollback(epoch) => ("rollback", epoch.into()),
-                Decision::Settle(last) => ("settle", last.into()),
+                Decision::Compact(last) => ("settle", last.into()),
             };
             json!({ "kind": kind, "of": of, "at_us": at_us, "takes_back": takes_back })
         }
@@ -86,7 +87,7 @@ pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> 
     Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))
 }
 
-fn quarantined(quarantined: &Quarantined) -> Value {
+fn quarantined(quarantined: &QuarantinedRecord) -> Value {
     let reason = match quarantined.reason {
         Reason::Shifted => "SHIFTED",
         Reason::Rotated => "ROTATED",
@@ -95,7 +96,7 @@ fn quarantined(quarantined: &Quarantined) -> Value {
     let upload = &quarantined.upload;
     json!({
         "epoch": quarantined.number, "reason": reason, "date": iso_date(upload.day),
-        "place": place(upload.zone, upload.place), "offset": upload.offset.as_ref().map(offset),
+        "place": position_json(upload.zone, upload.place), "offset": upload.offset.as_ref().map(offset),
     })
 }
 
@@ -106,7 +107,7 @@ fn alarm(alarm: &Alarm) -> Value {
     };
     json!({
         "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
-        "place": place(alarm.zone, alarm.place),
+        "place": position_json(alarm.zone, alarm.place),
     })
 }
 
@@ -116,14 +117,14 @@ fn offset(offset: &Offset) -> Value {
 }
 
 /// WGS-84 degrees of map metres; nothing where the zone does not reach.
-fn place(zone: Zone, [x_m, y_m]: [f64; 2]) -> Value {
+fn position_json(zone: Zone, [x_m, y_m]: [f64; 2]) -> Value {
     let at = Grid::new(zone).and_then(|grid| grid.unproject([x_m, y_m]));
     at.map_or(Value::Null, |at| json!({ "lat": at.lat_deg, "lon": at.lon_deg }))
 }
 
 /// `?from=&to=`
 #[derive(Deserialize)]
-pub struct Span {
+pub struct DiffQuery {
     from: u64,
     to: u64,
 }
@@ -131,9 +132,9 @@ pub struct Span {
 /// `GET /api/v1/map/diff?from=&to=`
 pub async fn diff(
     State(app): State<Arc<App>>,
-    span: Result<Query<Span>, QueryRejection>,
+    span: Result<Query<DiffQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
-    let Query(Span { from, to }) = span?;
+    let Query(DiffQuery { from, to }) = span?;
     let diffs = work(&app, move |operations| Ok(operations.diff(from, to)?)).await?;
     let sum = |of: fn(&TileDiff) -> u32| diffs.iter().map(|diff| u64::from(of(diff))).sum::<u64>();
     let cells =
@@ -160,67 +161,69 @@ pub async fn diff(
 /// What is rolled back to.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Rollback {
+pub struct RollbackBody {
     epoch: u64,
 }
 
 /// `POST /api/v1/map/rollback`
 pub async fn rollback(
     State(app): State<Arc<App>>,
-    body: Result<Json<Rollback>, JsonRejection>,
+    body: Result<Json<RollbackBody>, JsonRejection>,
 ) -> Result<Response, Error> {
-    let Json(Rollback { epoch }) = body?;
+    let Json(RollbackBody { epoch }) = body?;
     decided(&app, move |operations| Ok(Some(operations.rollback(epoch)?))).await
 }
 
 /// What is revoked.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "snake_case")]
-pub enum Revoke {
-    /// All that a contributor told so far, by its pseudonym.
+#[serde(deny_unknown_fields)]
+pub enum RevokeBody {
+    /// All uploads of a contributor so far, by its pseudonym.
+    #[serde(rename = "contributor")]
     Contributor(String),
     /// An upload or an imported file, by its id.
+    #[serde(rename = "upload")]
     Upload(String),
 }
 
 /// `POST /api/v1/map/revoke`
 pub async fn revoke(
     State(app): State<Arc<App>>,
-    body: Result<Json<Revoke>, JsonRejection>,
+    body: Result<Json<RevokeBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(revoke) = body?;
     let work = move |operations: &dyn Operations| match revoke {
-        Revoke::Contributor(pseudonym) => Ok(operations.revoke_contributor(&pseudonym)?),
-        Revoke::Upload(id) => {
-            let told = |error| Error::BadRequest(format!("`{id}` is not a UUID: {error}"));
-            Ok(operations.revoke_upload(Uuid::try_parse(&id).map_err(told)?)?)
+        RevokeBody::Contributor(pseudonym) => Ok(operations.revoke_contributor(&pseudonym)?),
+        RevokeBody::Upload(id) => {
+            let malformed = |error| Error::BadRequest(format!("`{id}` is not a UUID: {error}"));
+            Ok(operations.revoke_upload(Uuid::try_parse(&id).map_err(malformed)?)?)
         }
     };
     decided(&app, move |operations| work(operations).map(Some)).await
 }
 
-/// What is made final.
+/// What is compacted.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Settle {
+pub struct CompactBody {
     /// Uploads that came before this UTC date.
     before: String,
 }
 
-/// `POST /api/v1/map/settle`
-pub async fn settle(
+/// `POST /api/v1/map/compact`, formerly `/api/v1/map/settle`
+pub async fn compact(
     State(app): State<Arc<App>>,
-    body: Result<Json<Settle>, JsonRejection>,
+    body: Result<Json<CompactBody>, JsonRejection>,
 ) -> Result<Response, Error> {
-    let Json(Settle { before }) = body?;
-    let told = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
-    let day = parse_date(&before).ok_or_else(told)?;
-    decided(&app, move |operations| Ok(operations.settle(day)?)).await
+    let Json(CompactBody { before }) = body?;
+    let malformed = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
+    let day = parse_date(&before).ok_or_else(malformed)?;
+    decided(&app, move |operations| Ok(operations.compact(day)?)).await
 }
 
 /// `?replay=`
 #[derive(Deserialize)]
-pub struct Replay {
+pub struct VerifyQuery {
     #[serde(default)]
     replay: bool,
 }
@@ -228,14 +231,14 @@ pub struct Replay {
 /// `GET /api/v1/map/verify?replay=`
 pub async fn verify(
     State(app): State<Arc<App>>,
-    replay: Result<Query<Replay>, QueryRejection>,
+    replay: Result<Query<VerifyQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
-    let Query(Replay { replay }) = replay?;
+    let Query(VerifyQuery { replay }) = replay?;
     let found = work(&app, move |operations| Ok(operations.verify(replay)?)).await?;
     Ok(fresh(json!({
         "sound": found.damage.is_empty(),
         "records": found.records,
-        "base_tiles": found.base_tiles,
+        "base_tiles": found.checkpoint_tiles,
         "tiles": found.tiles,
         "compared": found.compared,
         "damage": found.damage,
@@ -248,22 +251,22 @@ async fn decided(
     decide: impl FnOnce(&dyn Operations) -> Result<Option<u64>, Error> + Send + 'static,
 ) -> Result<Response, Error> {
     let epoch = work(app, decide).await?;
-    let map = told(&app.state.store.progress().borrow());
+    let map = progress_json(&app.state.store.progress().borrow());
     Ok(fresh(json!({ "epoch": epoch, "map": map })))
 }
 
-/// Runs blocking work in a place of its own kind: it may take long, and pictures must not wait for it.
+/// Runs blocking work under a permit of its own kind: it may take long, and pictures must not wait for it.
 pub async fn work<T: Send + 'static>(
     app: &App,
     work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
     let operations = Arc::clone(&app.state.operations);
-    let place = app.places.operate()?;
-    tokio::task::spawn_blocking(move || {
+    let permit = app.limiter.operate()?;
+    tokio::task::spawn_blocking(in_current_span(move || {
         // Held by the work, not by the request.
-        let _held = place;
+        let _held = permit;
         work(&*operations)
-    })
+    }))
     .await?
 }
 
@@ -273,12 +276,12 @@ fn fresh(body: Value) -> Response {
 
 #[cfg(test)]
 mod tests {
-    use crate::http::testing::{Kept, json_of};
+    use crate::http::testing::{StoredSite, json_of};
     use serde_json::json;
 
     #[tokio::test]
-    async fn history_is_told_and_decided_about() {
-        let site = Kept::with_uploads(6).await;
+    async fn history_is_listed_and_decided_about() {
+        let site = StoredSite::with_uploads(6).await;
         let answer = site.post("/api/v1/map/rollback", &json!({ "epoch": 4 })).await;
         let body = json_of(answer).await;
         assert_eq!((&body["epoch"], &body["map"]["journaled"]), (&json!(7), &json!(7)));
@@ -296,14 +299,17 @@ mod tests {
         assert_eq!(diff["tiles_changed"], diff["tiles"].as_array().unwrap().len());
         let sound = json_of(site.get("/api/v1/map/verify?replay=true").await).await;
         assert_eq!((&sound["sound"], &sound["records"]), (&json!(true), &json!(8)));
-        let settled =
-            json_of(site.post("/api/v1/map/settle", &json!({ "before": "2149-01-01" })).await).await;
-        assert_eq!(settled["epoch"], 9);
+        let compacted =
+            json_of(site.post("/api/v1/map/compact", &json!({ "before": "2149-01-01" })).await).await;
+        assert_eq!(compacted["epoch"], 9);
+        // Older commands know it by its former name.
+        let again = json_of(site.post("/api/v1/map/settle", &json!({ "before": "2149-01-01" })).await).await;
+        assert_eq!(again["epoch"], 10);
     }
 
     #[tokio::test]
-    async fn mistakes_are_told() {
-        let site = Kept::with_uploads(1).await;
+    async fn mistakes_are_reported() {
+        let site = StoredSite::with_uploads(1).await;
         for (path, body, status) in [
             ("/api/v1/map/rollback", json!({ "epoch": 9 }), 404),
             ("/api/v1/map/rollback", json!({ "epoch": -1 }), 400),
@@ -311,7 +317,7 @@ mod tests {
             ("/api/v1/map/revoke", json!({ "contributor": "nobody" }), 404),
             ("/api/v1/map/revoke", json!({ "upload": "7" }), 400),
             ("/api/v1/map/revoke", json!({ "car": "7" }), 400),
-            ("/api/v1/map/settle", json!({ "before": "2026-02-30" }), 400),
+            ("/api/v1/map/compact", json!({ "before": "2026-02-30" }), 400),
         ] {
             let response = site.post(path, &body).await;
             assert_eq!(response.status(), status, "{path} {body}");
@@ -330,8 +336,8 @@ mod tests {
     #[tokio::test]
     async fn a_page_elsewhere_cannot_decide() {
         // A browser sends these without asking first; JSON it asks for.
-        let site = Kept::with_uploads(2).await;
-        for path in ["rollback", "revoke", "settle", "import"] {
+        let site = StoredSite::with_uploads(2).await;
+        for path in ["rollback", "revoke", "compact", "settle", "import"] {
             let path = format!("/api/v1/map/{path}");
             let response = site.send(&path, "text/plain", br#"{"epoch": 1}"#.to_vec()).await;
             assert_eq!(response.status(), 400, "{path}");

@@ -25,11 +25,11 @@ pub async fn readyz(State(app): State<Arc<App>>) -> impl IntoResponse {
         Readiness::Ready => StatusCode::OK,
         Readiness::NotReady(_) => StatusCode::SERVICE_UNAVAILABLE,
     };
-    (status, [(header::CACHE_CONTROL, "no-store")], Json(told(&readiness)))
+    (status, [(header::CACHE_CONTROL, "no-store")], Json(readiness_json(&readiness)))
 }
 
 /// The readiness as JSON.
-pub fn told(readiness: &Readiness) -> Value {
+pub fn readiness_json(readiness: &Readiness) -> Value {
     match readiness {
         Readiness::Ready => json!({ "ready": true, "reason": null }),
         Readiness::NotReady(reason) => json!({ "ready": false, "reason": reason }),
@@ -43,11 +43,11 @@ pub async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
 
 #[cfg(test)]
 mod tests {
-    use crate::http::testing::{Site, json_of};
+    use crate::http::testing::{TestSite, json_of};
 
     #[tokio::test]
     async fn readiness_says_why_not() {
-        let site = Site::default();
+        let site = TestSite::default();
         assert_eq!(site.get("/healthz").await.status(), 200);
         let response = site.get("/readyz").await;
         assert_eq!(response.status(), 503);
@@ -60,7 +60,7 @@ mod tests {
 
     #[tokio::test]
     async fn metrics_are_open_metrics() {
-        let response = Site::default().get("/metrics").await;
+        let response = TestSite::default().get("/metrics").await;
         let kind = response.headers()["content-type"].to_str().unwrap().to_owned();
         assert!(kind.starts_with("application/openmetrics-text; version=1.0.0"), "{kind}");
     }

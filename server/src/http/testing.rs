@@ -1,4 +1,4 @@
-//! A small map and a site that serves it, for the tests of this room.
+//! A small map and a site that serves it, for the tests of this module.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read, Write};
@@ -26,8 +26,9 @@ use crate::feed::{FixEvent, UploadEvent};
 use crate::locating::Expectations;
 use crate::store::testing::some_uploads;
 use crate::store::{
-    EmbeddedStore, Error, Event, Imported, MapStore, Operations, Options, Policy, Progress, Quarantined,
-    Receipt, Region, Snapshot, State, StoredTile, TileInfo, Totals, Upload, Verified,
+    EmbeddedStore, Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options,
+    Policy, QuarantinedRecord, Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
+    Verified,
 };
 
 /// 2024-10-04
@@ -38,8 +39,8 @@ pub fn austin() -> TileId {
     TileId { zone: Zone::from_epsg(32614).unwrap(), x: 12_127, y: 65_410 }
 }
 
-fn serving(epoch: u64) -> Progress {
-    Progress { state: State::Serving, epoch, journaled: epoch, building: None, stopped: false }
+fn serving(epoch: u64) -> MapProgress {
+    MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, building: None, stopped: false }
 }
 
 /// A map in memory that is only read.
@@ -49,7 +50,7 @@ pub struct FakeStore {
     pub reads: AtomicUsize,
     /// The map's lineage.
     pub lineage: AtomicU64,
-    progress: watch::Sender<Progress>,
+    progress: watch::Sender<MapProgress>,
 }
 
 impl Default for FakeStore {
@@ -102,7 +103,7 @@ impl FakeStore {
 
     /// The map is being folded anew.
     pub fn rebuild(&self) {
-        self.progress.send_modify(|progress| progress.state = State::Rebuilding);
+        self.progress.send_modify(|progress| progress.state = MapStatus::Rebuilding);
     }
 
     fn infos(&self) -> Vec<TileInfo> {
@@ -127,7 +128,7 @@ impl MapStore for FakeStore {
         self.lineage.load(Ordering::Relaxed)
     }
 
-    fn commit(&self, _: Upload) -> Result<Receipt, Error> {
+    fn commit(&self, _: UploadRecord) -> Result<Receipt, Error> {
         Err(only_read())
     }
 
@@ -146,8 +147,8 @@ impl MapStore for FakeStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
-        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
-        if state == State::Rebuilding {
+        let MapProgress { state, epoch, journaled, .. } = *self.progress.borrow();
+        if state == MapStatus::Rebuilding {
             return Err(Error::Rebuilding { folded: epoch, journaled });
         }
         let inside = |t: &TileInfo| t.id.zone == zone && x.contains(&t.id.x) && y.contains(&t.id.y);
@@ -171,13 +172,13 @@ impl MapStore for FakeStore {
         }
     }
 
-    fn progress(&self) -> watch::Receiver<Progress> {
+    fn progress(&self) -> watch::Receiver<MapProgress> {
         self.progress.subscribe()
     }
 }
 
 impl Operations for FakeStore {
-    fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+    fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         Ok(Vec::new())
     }
 
@@ -193,11 +194,11 @@ impl Operations for FakeStore {
         Err(only_read())
     }
 
-    fn settle(&self, _: u16) -> Result<Option<u64>, Error> {
+    fn compact(&self, _: u16) -> Result<Option<u64>, Error> {
         Err(only_read())
     }
 
-    fn history(&self, _: usize) -> Vec<Event> {
+    fn history(&self, _: usize) -> Vec<HistoryEvent> {
         Vec::new()
     }
 
@@ -227,7 +228,7 @@ fn only_read() -> Error {
 }
 
 /// The routes over a small map.
-pub struct Site {
+pub struct TestSite {
     pub store: Arc<FakeStore>,
     pub state: HttpState,
     /// Turns true when the service drains.
@@ -235,13 +236,13 @@ pub struct Site {
     router: Router,
 }
 
-impl Default for Site {
+impl Default for TestSite {
     fn default() -> Self {
         Self::with_tiles(&[])
     }
 }
 
-impl Site {
+impl TestSite {
     pub fn with_tiles(tiles: &[(TileId, &[(u32, u32)])]) -> Self {
         let store = Arc::new(FakeStore::with_tiles(tiles));
         let ending = watch::Sender::new(false);
@@ -274,20 +275,20 @@ impl Site {
 }
 
 /// The routes over a store on disk.
-pub struct Kept {
+pub struct StoredSite {
     store: Arc<EmbeddedStore>,
-    pub uploads: Vec<Upload>,
+    pub uploads: Vec<UploadRecord>,
     router: Router,
     _dir: TempDir,
 }
 
-impl Kept {
+impl StoredSite {
     /// A store that was given so many uploads and shows them.
     pub async fn with_uploads(count: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let options =
-            Options { data_dir, cache_bytes: 1 << 20, segment_bytes: 1 << 20, policy: Policy::trusting() };
+        let usual = Options::new(data_dir, Policy::trusting());
+        let options = Options { cache_bytes: 1 << 20, segment_bytes: 1 << 20, ..usual };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
         let uploads = some_uploads(count);
         for upload in &uploads {
@@ -302,14 +303,15 @@ impl Kept {
             health: Arc::default(),
             ending: watch::Sender::new(false).subscribe(),
         });
-        let kept = Self { store, uploads, router, _dir: dir };
-        kept.caught_up().await;
-        kept
+        let site = Self { store, uploads, router, _dir: dir };
+        site.caught_up().await;
+        site
     }
 
     /// Waits until the map shows all that was decided.
     pub async fn caught_up(&self) {
-        let done = |p: &Progress| p.state == State::Serving && p.epoch == p.journaled && p.building.is_none();
+        let done =
+            |p: &MapProgress| p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
         self.store.progress().wait_for(done).await.unwrap();
     }
 

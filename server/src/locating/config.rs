@@ -7,25 +7,28 @@ use serde::{Deserialize, Serialize};
 
 /// Ways to find the maximum of the correlation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Engine {
+pub enum EngineChoice {
     /// The fastest for the request.
+    #[serde(rename = "auto")]
     Auto,
     /// Coarse to fine.
+    #[serde(rename = "fast")]
     Fast,
     /// Exact, by bounds.
+    #[serde(rename = "bounded")]
     Bounded,
     /// Exact, every hypothesis.
+    #[serde(rename = "fft")]
     Fft,
 }
 
-impl From<Engine> for EngineKind {
-    fn from(engine: Engine) -> Self {
+impl From<EngineChoice> for EngineKind {
+    fn from(engine: EngineChoice) -> Self {
         match engine {
             // Coarse to fine is the fastest at every width and batch measured: BENCHMARKS.md.
-            Engine::Auto | Engine::Fast => Self::Fast,
-            Engine::Bounded => Self::Bounded,
-            Engine::Fft => Self::Fft,
+            EngineChoice::Auto | EngineChoice::Fast => Self::Fast,
+            EngineChoice::Bounded => Self::Bounded,
+            EngineChoice::Fft => Self::Fft,
         }
     }
 }
@@ -40,12 +43,11 @@ pub struct LocatingConfig {
     pub queue: usize,
     /// Memory for prepared tiles, MiB.
     pub tile_cache_mib: u64,
-    /// Which engine searches.
-    pub engine: Engine,
-    /// Share of the answers that are asked again of the exhaustive engine.
+    /// Which engine finds the maximum of the correlation.
+    pub engine: EngineChoice,
+    /// Fraction of the answers that are repeated with an exact engine: the sampled check.
     pub confirm_share: f64,
-    /// Half width of the search that is made when the prior's does not hold the answer, metres; 0 for
-    /// none.
+    /// Half width of the relocalization, metres; 0 for none.
     pub wide_search_m: f64,
     /// Slower vehicles are refused, metres per second.
     pub min_speed_mps: f64,
@@ -65,7 +67,7 @@ pub struct LocatingConfig {
 }
 
 impl LocatingConfig {
-    /// Which detections are kept.
+    /// Which detections a batch is made of.
     #[must_use]
     pub fn gate(&self) -> Gate {
         Gate {

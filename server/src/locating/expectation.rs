@@ -1,4 +1,4 @@
-//! What fixes can be expected to be, place by place; kept while memory lasts.
+//! Localizability: what a fix can be expected to be, on a grid of spots; cached while memory lasts.
 //!
 //! Computed for those who look at the map, one tile at a time and on one thread: a vehicle that asks where
 //! it is never waits for it.
@@ -12,22 +12,22 @@ use echofix_core::geo::{CELLS_PER_TILE, TILE_M, TileId};
 use echofix_core::window::Frame;
 use moka::sync::Cache;
 
-use super::cache::TileCache;
+use super::prepared_tiles::PreparedTiles;
 use crate::store::{Error, MapStore, TileInfo};
 
-/// Places along a tile's side: a batch reaches several times as far as from one to the next.
-pub const PLACES: usize = 2;
-/// Side of the square that a place stands for, metres.
-const PLACE_M: f64 = TILE_M / PLACES as f64;
-/// Tiles kept.
-const KEPT: u64 = 100_000;
-/// Memory for prepared tiles, MiB: a tile and its neighbours, and what the next ones share with it.
+/// Spots along a tile's side: a batch reaches several times as far as from one to the next.
+pub const SPOTS_PER_SIDE: usize = 2;
+/// Side of the square that a spot stands for, metres.
+const SPOT_M: f64 = TILE_M / SPOTS_PER_SIDE as f64;
+/// Tiles whose expectations are cached.
+const CACHED_TILES: u64 = 100_000;
+/// Memory for prepared tiles, MiB: a tile and its neighbours, and what the next ones need of it, too.
 const TILE_CACHE_MIB: u64 = 32;
 
 /// A tile as it was in certain versions of it and of the tiles around it, two deep: those within reach, and
 /// those whose hits reach across their borders (0 where there is none).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Key {
+struct ExpectationKey {
     id: TileId,
     versions: [u64; 25],
 }
@@ -37,32 +37,32 @@ struct Key {
 pub struct TileExpectation {
     /// The newest version of a tile that it rests on: the tile itself and those within reach of a fix.
     pub version: u64,
-    /// By place, row by row from the south-west.
-    places: [Localizability; PLACES * PLACES],
+    /// Spot by spot, row by row from the south-west.
+    spots: [Localizability; SPOTS_PER_SIDE * SPOTS_PER_SIDE],
 }
 
 impl TileExpectation {
-    /// Its places as (column, row, what can be expected there).
-    pub fn places(&self) -> impl Iterator<Item = (usize, usize, &Localizability)> {
-        self.places.iter().enumerate().map(|(i, place)| (i % PLACES, i / PLACES, place))
+    /// Its spots as (column, row, what can be expected there).
+    pub fn spots(&self) -> impl Iterator<Item = (usize, usize, &Localizability)> {
+        self.spots.iter().enumerate().map(|(i, spot)| (i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE, spot))
     }
 
-    /// What can be expected at the place that stands for map metres in the tile.
+    /// What can be expected at the spot that stands for map metres in the tile.
     #[must_use]
-    pub fn at(&self, id: TileId, place: [f64; 2]) -> &Localizability {
+    pub fn at(&self, id: TileId, at: [f64; 2]) -> &Localizability {
         let origin = id.origin();
-        let index = |axis: usize| (((place[axis] - origin[axis]) / PLACE_M) as usize).min(PLACES - 1);
-        &self.places[index(1) * PLACES + index(0)]
+        let index = |axis: usize| (((at[axis] - origin[axis]) / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
+        &self.spots[index(1) * SPOTS_PER_SIDE + index(0)]
     }
 }
 
-/// Tells what fixes can be expected to be.
+/// Assesses what fixes can be expected to be.
 pub struct Expectations {
     store: Arc<dyn MapStore>,
     search: Search,
     integrity: Integrity,
-    tiles: TileCache,
-    known: Cache<Key, Arc<TileExpectation>>,
+    tiles: PreparedTiles,
+    known: Cache<ExpectationKey, Arc<TileExpectation>>,
     assessor: Mutex<Assessor>,
 }
 
@@ -70,14 +70,14 @@ impl Expectations {
     /// Of fixes on a map that are searched and judged in this way.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, search: Search, integrity: Integrity) -> Self {
-        // From any of its places, the tile and its neighbours are all that is looked at.
-        let most_m = TILE_M + 0.5 * PLACE_M - REACH_M;
+        // From any of its spots, no more than the tile and its neighbours is needed.
+        let most_m = TILE_M + 0.5 * SPOT_M - REACH_M;
         Self {
             store,
             search: Search { extent_m: search.extent_m.min(most_m), ..search },
             integrity,
-            tiles: TileCache::new(TILE_CACHE_MIB),
-            known: Cache::new(KEPT),
+            tiles: PreparedTiles::new(TILE_CACHE_MIB),
+            known: Cache::new(CACHED_TILES),
             assessor: Mutex::default(),
         }
     }
@@ -92,11 +92,11 @@ impl Expectations {
         if !catalog.iter().any(|tile| near(tile.id, id)) {
             return Ok(None);
         }
-        let key = Key { id, versions: versions(&catalog, id) };
+        let key = ExpectationKey { id, versions: versions(&catalog, id) };
         if let Some(known) = self.known.get(&key) {
             return Ok(Some(known));
         }
-        // One at a time: whoever waited for the same tile finds it known.
+        // One at a time: a caller that waited for the same tile finds it cached.
         // A panic while holding the lock leaves buffers that the next assessment fills anew.
         let mut assessor = self.assessor.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = self.known.get(&key) {
@@ -105,18 +105,18 @@ impl Expectations {
         let frame = square(id);
         let found = self.tiles.get(&*self.store, frame)?;
         let origin = id.origin();
-        let places = std::array::from_fn(|i| {
-            let middle = [i % PLACES, i / PLACES].map(|step| (step as f64 + 0.5) * PLACE_M);
-            let place = [origin[0] + middle[0], origin[1] + middle[1]];
-            assessor.assess(frame, &found.tiles, place, &self.search, &self.integrity)
+        let spots = std::array::from_fn(|i| {
+            let middle = [i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE].map(|step| (step as f64 + 0.5) * SPOT_M);
+            let at = [origin[0] + middle[0], origin[1] + middle[1]];
+            assessor.assess(frame, &found.tiles, at, &self.search, &self.integrity)
         });
         let version = key.versions.iter().copied().max().unwrap_or_default();
-        let made = Arc::new(TileExpectation { version, places });
+        let made = Arc::new(TileExpectation { version, spots });
         self.known.insert(key, Arc::clone(&made));
         Ok(Some(made))
     }
 
-    /// What a fix will most likely be told.
+    /// The verdict that a fix will most likely get.
     #[must_use]
     pub fn verdict(&self, expected: &Localizability) -> Expected {
         expected.expected(&self.integrity)

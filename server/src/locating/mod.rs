@@ -1,9 +1,9 @@
-//! Answers to "where am I?": the window of the map, a compute slot, the alignment, its bounds; and what such
-//! answers can be expected to be.
+//! Fixes: the map window, a compute slot, the alignment, its protection levels; and localizability, what a fix can be
+//! expected to be.
 
-mod cache;
 mod config;
 mod expectation;
+mod prepared_tiles;
 mod slots;
 
 use std::sync::Arc;
@@ -18,15 +18,15 @@ use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::window::Frame;
-pub use expectation::{Expectations, PLACES, TileExpectation};
+pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
 
 use crate::store::{self, MapStore};
-use cache::{Found, TileCache};
-use slots::{Slot, Slots};
+use prepared_tiles::{PreparedTiles, WindowTiles};
+use slots::{ComputeSlot, ComputeSlots};
 
 /// A batch, what the vehicle believes, and what it needs.
 #[derive(Debug, Clone)]
-pub struct Question {
+pub struct LocateRequest {
     /// What it saw, gated and organised.
     pub batch: Batch,
     /// Where it believes to be at the batch's reference time.
@@ -47,37 +47,37 @@ pub struct Question {
     pub integrity_risk: Option<f64>,
 }
 
-/// An alignment in words a vehicle understands.
+/// An alignment with what a vehicle needs of it: geodetic pose, protection levels, the map it rests on.
 #[derive(Debug, Clone)]
-pub struct Answer {
+pub struct LocateAnswer {
     /// The alignment on the zone's grid.
     pub alignment: Alignment,
-    /// The zone.
+    /// The UTM zone whose grid the alignment is on.
     pub zone: Zone,
     /// The correction found within the prior's sigmas: metres east and north on the grid, radians.
     pub found: Pose2,
-    /// Corrected position.
+    /// The corrected position.
     pub at: LatLon,
     /// Corrected heading, radians counter-clockwise from true east.
     pub yaw_rad: f64,
-    /// Bounds of the error.
+    /// Protection levels: what bounds the error, no more often exceeded than `integrity_risk`.
     pub protection: Protection,
-    /// The integrity risk they hold for.
+    /// The integrity risk that the protection levels hold for.
     pub integrity_risk: f64,
     /// True when the prior is combined into it.
     pub contains_prior: bool,
-    /// True when the search was repeated over a wide area.
-    pub searched_wide: bool,
+    /// True when the pose was found by relocalization.
+    pub relocalized: bool,
     /// The map it rests on.
     pub map: MapUsed,
-    /// Where the time went.
+    /// How long its parts took.
     pub timing: Timing,
 }
 
 /// The map an answer rests on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MapUsed {
-    /// Its epoch.
+    /// Epoch of the map when the window was made.
     pub epoch: u64,
     /// Last UTC day anything was seen in the window, counted from the Unix epoch.
     pub newest_day: u16,
@@ -87,7 +87,7 @@ pub struct MapUsed {
     pub cells: usize,
 }
 
-/// Where the time went.
+/// How long the parts of an answer took.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Timing {
     /// Waiting for a compute slot.
@@ -96,13 +96,13 @@ pub struct Timing {
     pub window: Duration,
     /// Whether all came from the cache.
     pub window_cached: bool,
-    /// Aligning.
+    /// Aligning the batch, with any relocalization.
     pub align: Duration,
 }
 
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
-pub enum Refusal {
+pub enum LocateRefusal {
     /// Nothing is served around the prior.
     #[error(
         "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first"
@@ -110,9 +110,9 @@ pub enum Refusal {
     NoMap {
         /// Half width of the window, metres.
         reach_m: f64,
-        /// Degrees.
+        /// The prior, degrees north.
         lat_deg: f64,
-        /// Degrees.
+        /// The prior, degrees east.
         lon_deg: f64,
     },
     /// The vehicle hardly moves.
@@ -120,7 +120,7 @@ pub enum Refusal {
         "the vehicle moves at {speed_mps:.2} m/s; radar at rest is mostly clutter, ask again above {least_mps} m/s"
     )]
     TooSlow {
-        /// Metres per second.
+        /// The vehicle's mean speed over the batch, metres per second.
         speed_mps: f64,
         /// The least speed, metres per second.
         least_mps: f64,
@@ -133,19 +133,19 @@ pub enum Refusal {
         "{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch"
     )]
     TooFewDetections {
-        /// Left.
+        /// Detections left after the gates.
         kept: usize,
-        /// Sent.
+        /// Detections in the request.
         sent: u64,
-        /// Dropped.
+        /// Dropped: taken while the vehicle was too slow.
         too_slow: u64,
-        /// Dropped.
+        /// Dropped: farther away than the gate.
         too_far: u64,
-        /// Dropped.
+        /// Dropped: movers.
         moving: u64,
-        /// Dropped.
+        /// Dropped: taken when there was no odometry.
         without_pose: u64,
-        /// Needed.
+        /// Detections that are needed.
         least: usize,
     },
     /// The prior's sigma asks for a search wider than the service offers.
@@ -153,20 +153,20 @@ pub enum Refusal {
     PriorTooUncertain {
         /// Position or heading, with its unit.
         what: &'static str,
-        /// Given.
+        /// The prior's sigma.
         given: f64,
-        /// The most.
+        /// The largest sigma that is searched.
         most: f64,
     },
-    /// The prior cannot be placed on the map.
+    /// The prior lies where there is no UTM zone.
     #[error(transparent)]
     Place(#[from] geo::Error),
-    /// All compute slots and places in the queue are taken.
+    /// All compute slots are taken and the queue is full.
     #[error("{waiting} requests are waiting already; try again in {} ms", retry_after.as_millis())]
     Overloaded {
-        /// Requests under way.
+        /// Requests that run or wait.
         waiting: usize,
-        /// When to try again.
+        /// How long to wait before the next attempt.
         retry_after: Duration,
     },
     /// The map cannot be read.
@@ -179,28 +179,28 @@ pub enum Refusal {
 
 /// A compute slot, given back when dropped.
 pub struct Admitted {
-    slot: Slot,
+    slot: ComputeSlot,
     queued: Duration,
 }
 
-/// Answers questions from the map, on a bounded number of threads.
+/// Answers requests from the map, on a bounded number of threads.
 pub struct Locator {
     store: Arc<dyn MapStore>,
     config: LocatingConfig,
-    tiles: TileCache,
-    slots: Slots,
+    tiles: PreparedTiles,
+    slots: ComputeSlots,
 }
 
 impl Locator {
     /// A locator over a map.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
-        let tiles = TileCache::new(config.tile_cache_mib);
-        let slots = Slots::new(config.threads(), config.queue);
+        let tiles = PreparedTiles::new(config.tile_cache_mib);
+        let slots = ComputeSlots::new(config.threads(), config.queue);
         Self { store, config, tiles, slots }
     }
 
-    /// Its configuration.
+    /// How it locates: the `[locating]` section.
     pub fn config(&self) -> &LocatingConfig {
         &self.config
     }
@@ -210,59 +210,63 @@ impl Locator {
     ///
     /// # Errors
     /// When too many wait already.
-    pub async fn admit(&self) -> Result<Admitted, Refusal> {
+    pub async fn admit(&self) -> Result<Admitted, LocateRefusal> {
         let waiting = Instant::now();
         let slot = self.slots.take().await?;
         Ok(Admitted { slot, queued: waiting.elapsed() })
     }
 
-    /// Answers one question. Computes for a while: keep it off the async threads.
+    /// Answers one request. Computes for a while: keep it off the async threads.
     ///
     /// # Errors
     /// What cannot be answered is refused with the reason.
-    pub fn locate(&self, question: &Question, admitted: &mut Admitted) -> Result<Answer, Refusal> {
-        self.check(question)?;
+    pub fn locate(
+        &self,
+        request: &LocateRequest,
+        admitted: &mut Admitted,
+    ) -> Result<LocateAnswer, LocateRefusal> {
+        self.check(request)?;
         let queued = admitted.queued;
-        self.answer(question, admitted.slot.aligner(), queued)
+        self.answer(request, admitted.slot.aligner(), queued)
     }
 
-    /// Asks the question of an answer again, with the engine that tries every hypothesis. Takes some
-    /// hundred times as long as the answer.
+    /// Repeats a request with the engine that tries every hypothesis: does it find the same? Takes some hundred times as
+    /// long as the answer.
     ///
     /// # Errors
     /// When the map cannot be read any more.
-    pub fn confirms(
+    pub fn check_sample(
         &self,
-        question: &Question,
-        answer: &Answer,
+        request: &LocateRequest,
+        answer: &LocateAnswer,
         admitted: &mut Admitted,
-    ) -> Result<bool, Refusal> {
-        let place = self.place(question)?;
-        let found = self.tiles.get(&*self.store, place.frame).map_err(Refusal::Store)?;
+    ) -> Result<bool, LocateRefusal> {
+        let placed = self.placed_prior(request)?;
+        let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
-            Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
+            Task { frame: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
         let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
-        Ok(again.correction.distance_m(&answer.found) < CONFIRMED_WITHIN_M)
+        Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 
     /// What needs no map to be refused.
-    fn check(&self, question: &Question) -> Result<(), Refusal> {
-        let Question { batch, sigma_position_m, sigma_yaw_rad, .. } = question;
+    fn check(&self, request: &LocateRequest) -> Result<(), LocateRefusal> {
+        let LocateRequest { batch, sigma_position_m, sigma_yaw_rad, .. } = request;
         let LocatingConfig { max_sigma_position_m, max_sigma_yaw_deg, min_detections, min_speed_mps, .. } =
             self.config;
         if batch.detections == 0 {
-            return Err(Refusal::NoDetections);
+            return Err(LocateRefusal::NoDetections);
         }
         if batch.speed_mps < min_speed_mps {
-            return Err(Refusal::TooSlow { speed_mps: batch.speed_mps, least_mps: min_speed_mps });
+            return Err(LocateRefusal::TooSlow { speed_mps: batch.speed_mps, least_mps: min_speed_mps });
         }
         if batch.points.len() < min_detections {
             return Err(too_few(batch, min_detections));
         }
         let bound = |what, given: f64, most: f64| {
             // What is no number, as the root of an overflow, is within no limit.
-            if given <= most { Ok(()) } else { Err(Refusal::PriorTooUncertain { what, given, most }) }
+            if given <= most { Ok(()) } else { Err(LocateRefusal::PriorTooUncertain { what, given, most }) }
         };
         bound("the position (m)", *sigma_position_m, max_sigma_position_m)?;
         bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())
@@ -271,35 +275,35 @@ impl Locator {
     /// Tiles, alignment, bounds; blocks.
     fn answer(
         &self,
-        question: &Question,
+        request: &LocateRequest,
         aligner: &mut Aligner,
         queued: Duration,
-    ) -> Result<Answer, Refusal> {
-        let Place { grid, prior, frame } = self.place(question)?;
+    ) -> Result<LocateAnswer, LocateRefusal> {
+        let PlacedPrior { grid, prior, frame } = self.placed_prior(request)?;
         let fetching = Instant::now();
-        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
+        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
-            return Err(no_map(frame, question.at));
+            return Err(no_map(frame, request.at));
         }
         let window = fetching.elapsed();
         let aligning = Instant::now();
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
+        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &prior };
         let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
         let correction = alignment.correction;
-        let wide = self.searched_wide(question, &grid, &prior, &alignment, aligner)?;
-        let searched_wide = wide.is_some();
+        let wide = self.relocalize(request, &grid, &prior, &alignment, aligner)?;
+        let relocalized = wide.is_some();
         alignment = wide.unwrap_or(alignment);
-        let combined = question.combine && alignment.verdict == Verdict::Usable;
-        // The prior is told in true east and north, the alignment in the grid's.
-        let told = turned(&question.covariance, grid.convergence_rad(question.at)?);
-        let combined = combined.then(|| alignment.combined(&prior.pose, &told)).flatten();
+        let combined = request.combine && alignment.verdict == Verdict::Usable;
+        // The prior is in true east and north, the alignment in the grid's.
+        let covariance = turned(&request.covariance, grid.convergence_rad(request.at)?);
+        let combined = combined.then(|| alignment.combined(&prior.pose, &covariance)).flatten();
         let contains_prior = combined.is_some();
         alignment = combined.unwrap_or(alignment);
         let align = aligning.elapsed();
         let (at, yaw_rad) = grid.pose_to_geodetic(&alignment.pose)?;
-        let integrity_risk = question.integrity_risk.unwrap_or(self.config.integrity_risk);
-        Ok(Answer {
+        let integrity_risk = request.integrity_risk.unwrap_or(self.config.integrity_risk);
+        Ok(LocateAnswer {
             protection: alignment.protection(&integrity, integrity_risk),
             alignment,
             found: correction,
@@ -308,23 +312,23 @@ impl Locator {
             yaw_rad,
             integrity_risk,
             contains_prior,
-            searched_wide,
+            relocalized,
             map: used(&found),
             timing: Timing { queued, window, window_cached: found.cached, align },
         })
     }
 
     /// The prior on its grid, and the square around it.
-    fn place(&self, question: &Question) -> Result<Place, Refusal> {
-        let grid = Grid::of(question.at)?;
+    fn placed_prior(&self, request: &LocateRequest) -> Result<PlacedPrior, LocateRefusal> {
+        let grid = Grid::of(request.at)?;
         let prior = Prior {
-            pose: grid.pose_from_geodetic(question.at, question.yaw_rad)?,
-            sigma_position_m: question.sigma_position_m,
-            sigma_yaw_rad: question.sigma_yaw_rad,
-            scale: grid.scale_factor(question.at)?,
+            pose: grid.pose_from_geodetic(request.at, request.yaw_rad)?,
+            sigma_position_m: request.sigma_position_m,
+            sigma_yaw_rad: request.sigma_yaw_rad,
+            scale: grid.scale_factor(request.at)?,
         };
         let frame = self.frame(&grid, &prior);
-        Ok(Place { grid, prior, frame })
+        Ok(PlacedPrior { grid, prior, frame })
     }
 
     fn frame(&self, grid: &Grid, prior: &Prior) -> Frame {
@@ -333,22 +337,23 @@ impl Locator {
         Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
     }
 
-    /// A search of a wide area with all headings, when the answer lies on the edge of the prior's or
-    /// nothing there explains the batch, and there is time for it. What it finds, far from where the
-    /// vehicle believes to be, is to be asked for again, not to be used.
-    fn searched_wide(
+    /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search
+    /// or nothing there explains the batch, and there is time for it. What it finds, far from the prior, is to be
+    /// asked for again, not to be used.
+    fn relocalize(
         &self,
-        question: &Question,
+        request: &LocateRequest,
         grid: &Grid,
         prior: &Prior,
         answer: &Alignment,
         aligner: &mut Aligner,
-    ) -> Result<Option<Alignment>, Refusal> {
-        let astray = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
-        let late =
-            question.deadline.is_some_and(|at| at.saturating_duration_since(Instant::now()) < WIDE_TAKES);
+    ) -> Result<Option<Alignment>, LocateRefusal> {
+        let not_found = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
+        let late = request
+            .deadline
+            .is_some_and(|at| at.saturating_duration_since(Instant::now()) < RELOCALIZATION_TIME);
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        if !astray || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
+        if !not_found || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
             return Ok(None);
         }
         let wide = Prior {
@@ -357,8 +362,8 @@ impl Locator {
             ..*prior
         };
         let frame = self.frame(grid, &wide);
-        let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
+        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
+        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &wide };
         let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {
             elsewhere.verdict = Verdict::PriorOutsideSearch;
@@ -368,18 +373,18 @@ impl Locator {
 }
 
 /// A prior on the map.
-struct Place {
+struct PlacedPrior {
     grid: Grid,
     prior: Prior,
     frame: Frame,
 }
 
 /// Two engines agree when their answers lie this near, metres.
-const CONFIRMED_WITHIN_M: f64 = 0.2;
-/// Time that a wide search is given.
-const WIDE_TAKES: Duration = Duration::from_millis(100);
+const AGREES_WITHIN_M: f64 = 0.2;
+/// Time that a relocalization takes.
+const RELOCALIZATION_TIME: Duration = Duration::from_millis(100);
 
-fn used(found: &Found) -> MapUsed {
+fn used(found: &WindowTiles) -> MapUsed {
     MapUsed {
         epoch: found.epoch,
         newest_day: found.tiles.iter().map(|t| t.newest_day).max().unwrap_or(0),
@@ -388,9 +393,9 @@ fn used(found: &Found) -> MapUsed {
     }
 }
 
-fn too_few(batch: &Batch, least: usize) -> Refusal {
+fn too_few(batch: &Batch, least: usize) -> LocateRefusal {
     let dropped = batch.dropped;
-    Refusal::TooFewDetections {
+    LocateRefusal::TooFewDetections {
         kept: batch.points.len(),
         sent: batch.detections,
         too_slow: dropped.too_slow,
@@ -401,12 +406,12 @@ fn too_few(batch: &Batch, least: usize) -> Refusal {
     }
 }
 
-fn no_map(frame: Frame, at: LatLon) -> Refusal {
+fn no_map(frame: Frame, at: LatLon) -> LocateRefusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
-    Refusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
+    LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
 }
 
-/// The contract's word for what a fix will most likely be told, without its prefix.
+/// The contract's word for the status that a fix will most likely get, without its prefix.
 #[must_use]
 pub fn expected_word(expected: Expected) -> &'static str {
     match expected {

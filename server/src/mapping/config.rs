@@ -27,17 +27,17 @@ pub struct MappingConfig {
     pub max_pose_gap_s: f64,
     /// Faster motion between two poses is a jump, metres per second.
     pub max_speed_mps: f64,
-    /// Distinct contributors that must have seen something near a cell for it to be served.
+    /// Distinct contributors that must have seen something near a cell for it to be published.
     pub publish_contributors: u8,
-    /// Whether uploads are held against the map before they count.
+    /// Whether uploads are vetted: compared with the map before they count.
     pub vet: bool,
-    /// An upload that lies farther beside the map is kept out of it, metres.
+    /// An upload that lies farther beside the map is quarantined, metres.
     pub vet_shift_m: f64,
-    /// An upload that is turned farther against the map is kept out of it, degrees.
+    /// An upload that is turned farther against the map is quarantined, degrees.
     pub vet_turn_deg: f64,
-    /// Days after which evidence that nobody confirms weighs half.
+    /// Days after which unconfirmed evidence weighs half.
     pub half_life_days: f64,
-    /// Days after which evidence that nobody confirms is not served any more.
+    /// Days after which unconfirmed evidence is not published any more.
     pub expire_days: u16,
     /// Older uploads are refused, days; 0 takes any age.
     pub max_age_days: u16,
@@ -50,9 +50,9 @@ pub struct MappingConfig {
     pub max_upload_detections: usize,
     /// Tiles of one upload, at most.
     pub max_upload_tiles: usize,
-    /// Uploads received at once; further ones are told to come again.
+    /// Uploads received at once; further ones are refused for the moment.
     pub uploads_at_once: usize,
-    /// Uploads in the journal that may wait to be folded; further ones are told to come again.
+    /// Uploads in the journal that may wait to be folded; further ones are refused for the moment.
     pub max_unfolded: u64,
 }
 
@@ -84,7 +84,7 @@ impl Default for MappingConfig {
 }
 
 impl MappingConfig {
-    /// What of the crowd's evidence counts, and what is served.
+    /// Which evidence counts, and what of it is published.
     #[must_use]
     pub fn policy(&self) -> Policy {
         let (shift_m, yaw_rad) = (self.vet_shift_m, self.vet_turn_deg.to_radians());

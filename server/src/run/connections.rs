@@ -18,18 +18,18 @@ use tonic::transport::server::Connected;
 const REST: Duration = Duration::from_millis(50);
 
 /// Takes connections off a port, a bounded number at a time.
-pub(super) struct Door {
+pub(super) struct Acceptor {
     listener: TcpListener,
-    places: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
     handshake: Duration,
 }
 
-impl Door {
+impl Acceptor {
     pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration) -> Self {
-        Self { listener, places: Arc::new(Semaphore::new(connections)), handshake }
+        Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake }
     }
 
-    /// The connections from now on, until nobody takes them any more.
+    /// The connections from now on, until the receiver is dropped.
     pub(super) fn open(self) -> ReceiverStream<Connection> {
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {
@@ -46,7 +46,7 @@ impl Door {
         ReceiverStream::new(receiver)
     }
 
-    /// The next connection there is a place for; others are closed at once.
+    /// The next connection there is a permit for; others are closed at once.
     async fn next(&self) -> Connection {
         loop {
             let stream = match self.listener.accept().await {
@@ -57,23 +57,23 @@ impl Door {
                     continue;
                 }
             };
-            let Ok(place) = self.places.clone().try_acquire_owned() else {
+            let Ok(permit) = self.permits.clone().try_acquire_owned() else {
                 tracing::debug!("closed a connection: too many");
                 continue;
             };
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
             let deadline = Box::pin(sleep(self.handshake));
-            return Connection { stream, deadline, awaited: Awaited::default(), _place: place };
+            return Connection { stream, deadline, first_request: FirstRequest::default(), _permit: permit };
         }
     }
 }
 
 /// Whether a connection's first request is still awaited.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Awaited(Arc<AtomicBool>);
+pub(super) struct FirstRequest(Arc<AtomicBool>);
 
-impl Awaited {
+impl FirstRequest {
     /// A request came.
     pub(super) fn came(&self) {
         self.0.store(true, Ordering::Relaxed);
@@ -88,15 +88,15 @@ impl Awaited {
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
-    pub(super) awaited: Awaited,
-    _place: OwnedSemaphorePermit,
+    pub(super) first_request: FirstRequest,
+    _permit: OwnedSemaphorePermit,
 }
 
 impl Connected for Connection {
-    type ConnectInfo = Awaited;
+    type ConnectInfo = FirstRequest;
 
-    fn connect_info(&self) -> Awaited {
-        self.awaited.clone()
+    fn connect_info(&self) -> FirstRequest {
+        self.first_request.clone()
     }
 }
 
@@ -106,9 +106,9 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if !self.awaited.is_over() && self.deadline.as_mut().poll(cx).is_ready() {
+        if !self.first_request.is_over() && self.deadline.as_mut().poll(cx).is_ready() {
             // A request that came in the same moment is served.
-            if !self.awaited.is_over() {
+            if !self.first_request.is_over() {
                 return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
             }
         }

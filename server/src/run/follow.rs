@@ -1,14 +1,14 @@
 //! Health and metrics follow the store.
 
-use super::Shared;
-use crate::store::{Progress, State};
+use super::ServiceContext;
+use crate::store::{MapProgress, MapStatus};
 
 /// Follows the store's progress for as long as it is polled.
-pub(super) async fn follow(shared: Shared) {
+pub(super) async fn follow(shared: ServiceContext) {
     let mut progress = shared.store.progress();
     loop {
         let now = *progress.borrow_and_update();
-        let Progress { epoch, journaled, .. } = now;
+        let MapProgress { epoch, journaled, .. } = now;
         shared.metrics.epoch.set(epoch as i64);
         shared.metrics.unfolded.set(journaled.saturating_sub(epoch) as i64);
         match hindrance(&now) {
@@ -21,18 +21,20 @@ pub(super) async fn follow(shared: Shared) {
     }
 }
 
-/// Why requests are not welcome. A new generation that is made beside a sound one hinders nobody.
-fn hindrance(progress: &Progress) -> Option<String> {
-    let Progress { state, epoch, journaled, stopped, .. } = *progress;
+/// Why the service is not ready. A new generation that is made beside a sound one is no reason.
+fn hindrance(progress: &MapProgress) -> Option<String> {
+    let MapProgress { state, epoch, journaled, stopped, .. } = *progress;
     if stopped {
         return Some("the journal stopped after a write failed; restart once the disk is sound".to_owned());
     }
     match state {
-        State::Rebuilding => Some(format!("rebuilding the map: {epoch} of {journaled} uploads are folded")),
-        State::Stalled => {
+        MapStatus::Rebuilding => {
+            Some(format!("rebuilding the map: {epoch} of {journaled} uploads are folded"))
+        }
+        MapStatus::Stalled => {
             Some(format!("folding fails and is tried again: {epoch} of {journaled} uploads are folded"))
         }
-        State::Serving => None,
+        MapStatus::Serving => None,
     }
 }
 
@@ -43,8 +45,8 @@ mod tests {
 
     #[test]
     fn a_store_that_does_not_go_on_is_not_ready() {
-        let told = |state, stopped| {
-            hindrance(&Progress {
+        let reason = |state, stopped| {
+            hindrance(&MapProgress {
                 state,
                 epoch: 3,
                 journaled: 5,
@@ -52,9 +54,13 @@ mod tests {
                 stopped,
             })
         };
-        assert_eq!(told(State::Serving, false), None, "while another generation is made, one is served");
-        assert!(told(State::Serving, true).unwrap().contains("journal stopped"));
-        assert!(told(State::Stalled, false).unwrap().contains("3 of 5"));
-        assert!(told(State::Rebuilding, false).unwrap().contains("rebuilding"));
+        assert_eq!(
+            reason(MapStatus::Serving, false),
+            None,
+            "while another generation is made, one is served"
+        );
+        assert!(reason(MapStatus::Serving, true).unwrap().contains("journal stopped"));
+        assert!(reason(MapStatus::Stalled, false).unwrap().contains("3 of 5"));
+        assert!(reason(MapStatus::Rebuilding, false).unwrap().contains("rebuilding"));
     }
 }

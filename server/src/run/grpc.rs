@@ -17,12 +17,13 @@ use tonic::{Request, Status};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::connections::{Awaited, Door};
-use super::{Error, Shared};
-use crate::config::Limits;
+use super::connections::{Acceptor, FirstRequest};
+use super::{Error, ServiceContext};
+use crate::config::LimitsConfig;
 use crate::grpc::{LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
 use crate::locating::Locator;
+use crate::trace::RequestSpanLayer;
 
 /// Bytes of a stream and of a connection that may be under way before they are read.
 const STREAM_WINDOW: u32 = 1 << 20;
@@ -33,11 +34,12 @@ const MAX_ANSWER: usize = 4 << 20;
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(
     listener: TcpListener,
-    shared: Shared,
+    shared: ServiceContext,
     ended: impl Future<Output = ()> + Send,
 ) -> Result<(), Error> {
-    let Limits { connections, message_bytes, reads_at_once, .. } = shared.config.limits;
-    let (limits, Shared { store, expectations, feed, metrics, .. }) = (&shared.config.limits, &shared);
+    let LimitsConfig { connections, message_bytes, reads_at_once, .. } = shared.config.limits;
+    let (limits, ServiceContext { store, expectations, feed, metrics, .. }) =
+        (&shared.config.limits, &shared);
 
     let mapping = shared.config.mapping.clone();
     let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, limits.stall());
@@ -65,22 +67,23 @@ pub(super) async fn serve(
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
 
-    let door = Door::new(listener, connections, limits.handshake());
+    let acceptor = Acceptor::new(listener, connections, limits.handshake());
     let served = limited(limits)
+        .layer(RequestSpanLayer::grpc())
         .layer(InterceptorLayer::new(note_request))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)
         .add_service(health)
         .add_service(reflection)
-        .serve_with_incoming_shutdown(door.open().map(io::Result::Ok), ended)
+        .serve_with_incoming_shutdown(acceptor.open().map(io::Result::Ok), ended)
         .await;
     follower.abort();
     Ok(served?)
 }
 
 /// Every limit tonic offers.
-fn limited(limits: &Limits) -> tonic::transport::Server {
+fn limited(limits: &LimitsConfig) -> tonic::transport::Server {
     let requests = limits.streams_per_connection;
     tonic::transport::Server::builder()
         .max_concurrent_streams(requests)
@@ -99,14 +102,14 @@ fn limited(limits: &Limits) -> tonic::transport::Server {
 /// Notes that a connection's first request came.
 #[expect(clippy::unnecessary_wraps, reason = "the shape of an interceptor")]
 fn note_request(request: Request<()>) -> Result<Request<()>, Status> {
-    if let Some(awaited) = request.extensions().get::<Awaited>() {
-        awaited.came();
+    if let Some(first_request) = request.extensions().get::<FirstRequest>() {
+        first_request.came();
     }
     Ok(request)
 }
 
 /// What the health service says follows what the service knows.
-async fn follow(reporter: HealthReporter, shared: Shared) {
+async fn follow(reporter: HealthReporter, shared: ServiceContext) {
     let services = [
         "",
         <LocalizationServiceServer<LocalizationApi> as NamedService>::NAME,

@@ -9,20 +9,20 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::connections::Door;
-use super::{Shared, ended};
-use crate::config::Limits;
+use super::connections::Acceptor;
+use super::{ServiceContext, ended};
+use crate::config::LimitsConfig;
 use crate::http::{HttpState, router};
 
 /// Serves until the end is called and the requests in flight are answered.
-pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::Receiver<bool>) {
-    let Shared { config, store, operations, expectations, feed, metrics, health } = shared;
+pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
     let state = HttpState { store, operations, expectations, feed, metrics, health, ending: ending.clone() };
     let routes = TowerToHyperService::new(router(state));
     let graceful = GracefulShutdown::new();
-    let mut connections = Door::new(listener, limits.connections, limits.handshake()).open();
+    let mut connections = Acceptor::new(listener, limits.connections, limits.handshake()).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {
@@ -31,9 +31,9 @@ pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::
             () = &mut ended => None,
         };
         let Some(connection) = connection else { break };
-        let (awaited, routes) = (connection.awaited.clone(), routes.clone());
+        let (first_request, routes) = (connection.first_request.clone(), routes.clone());
         let service = service_fn(move |request| {
-            awaited.came();
+            first_request.came();
             routes.call(request)
         });
         let served = builder.serve_connection(TokioIo::new(connection), service).into_owned();
@@ -48,7 +48,7 @@ pub(super) async fn serve(listener: TcpListener, shared: Shared, ending: watch::
     graceful.shutdown().await;
 }
 
-fn builder(limits: &Limits) -> auto::Builder<TokioExecutor> {
+fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {
     let mut builder = auto::Builder::new(TokioExecutor::new());
     builder.http1().timer(TokioTimer::new()).header_read_timeout(limits.handshake()).max_buf_size(64 << 10);
     builder

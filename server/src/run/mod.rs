@@ -3,7 +3,7 @@
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
-//! - [`retention`]: old uploads are made final.
+//! - [`retention`]: old uploads are compacted.
 //! - [`signals`]: when to end.
 
 mod connections;
@@ -38,11 +38,11 @@ pub enum Error {
     /// A port is not to be had.
     #[error("cannot listen on {address} for {port}: {source}")]
     Listen {
-        /// The address.
+        /// The address that was to be bound.
         address: SocketAddr,
-        /// What for.
+        /// The port's protocol.
         port: &'static str,
-        /// The system's words.
+        /// What the operating system reported.
         source: io::Error,
     },
     /// The store does not open.
@@ -50,15 +50,15 @@ pub enum Error {
     Store {
         /// The data directory.
         dir: String,
-        /// Its words.
+        /// Why it does not open.
         source: store::Error,
     },
     /// The file with the addresses cannot be written.
     #[error("cannot write {path}: {source}")]
     AddressFile {
-        /// The file.
+        /// The file that was named by `--addr-file`.
         path: String,
-        /// The system's words.
+        /// What the operating system reported.
         source: io::Error,
     },
     /// The gRPC port failed.
@@ -74,7 +74,7 @@ pub enum Error {
 
 /// What both ports answer from.
 #[derive(Clone)]
-struct Shared {
+struct ServiceContext {
     config: Arc<Config>,
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
@@ -86,7 +86,7 @@ struct Shared {
 
 /// A service that has its ports and its store, and answers once it is run.
 pub struct Server {
-    shared: Shared,
+    shared: ServiceContext,
     grpc: TcpListener,
     http: TcpListener,
     grpc_addr: SocketAddr,
@@ -96,9 +96,9 @@ pub struct Server {
 /// Where a server listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Addresses {
-    /// Vehicles.
+    /// The gRPC port, for vehicles.
     pub grpc: SocketAddr,
-    /// Operators.
+    /// The HTTP port, for operators.
     pub http: SocketAddr,
 }
 
@@ -112,10 +112,9 @@ impl Server {
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
         let options = Options {
-            data_dir: dir.clone(),
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
-            policy: config.mapping.policy(),
+            ..Options::new(dir.clone(), config.mapping.policy())
         };
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
@@ -123,7 +122,7 @@ impl Server {
         let operations: Arc<dyn Operations> = store.clone();
         let store: Arc<dyn MapStore> = store;
         let (search, integrity) = (config.locating.search(), config.locating.integrity());
-        let shared = Shared {
+        let shared = ServiceContext {
             expectations: Arc::new(Expectations::new(Arc::clone(&store), search, integrity)),
             config: Arc::new(config),
             operations,
@@ -184,7 +183,7 @@ impl Server {
     }
 }
 
-/// Binds and runs a service; tells where it listens in the log and, if asked, as JSON in a file.
+/// Binds and runs a service; reports where it listens in the log and, if asked, as JSON in a file.
 ///
 /// # Errors
 /// When it cannot start, or a port fails.
@@ -203,7 +202,7 @@ pub async fn serve(
     server.run(shutdown).await
 }
 
-/// Whoever waits for the file sees all of it or nothing.
+/// Replaces the file in one step: a program that waits for it never reads half of it.
 fn write_whole(path: &Path, addresses: &Addresses) -> io::Result<()> {
     let unnamed = path.with_extension("new");
     std::fs::write(&unnamed, serde_json::to_vec(addresses)?)?;
@@ -217,7 +216,7 @@ async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener,
     Ok((listener, bound))
 }
 
-/// Resolves when the end is called, or nobody is left to call it.
+/// Resolves when the end is called, or its sender is gone.
 async fn ended(mut ending: watch::Receiver<bool>) {
     let _ = ending.wait_for(|ending| *ending).await;
 }

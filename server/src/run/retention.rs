@@ -1,15 +1,17 @@
-//! Once a day, what was kept long enough is made final.
+//! Once a day, uploads that are older than the retention are compacted.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
-use super::Shared;
+use echofix_core::time::day_of;
 
-/// How often the day is looked at.
+use super::ServiceContext;
+use crate::grpc::now_us;
+
+/// How often it is checked.
 const TICK: Duration = Duration::from_hours(1);
-const DAY_S: u64 = 86_400;
 
-/// Settles for as long as it is polled.
-pub(super) async fn keep(shared: Shared) {
+/// Compacts for as long as it is polled.
+pub(super) async fn keep(shared: ServiceContext) {
     let retention_days = shared.config.mapping.retention_days;
     if retention_days == 0 {
         return;
@@ -18,29 +20,29 @@ pub(super) async fn keep(shared: Shared) {
     loop {
         ticks.tick().await;
         let operations = shared.operations.clone();
-        let before = before_day(SystemTime::now(), retention_days);
-        match tokio::task::spawn_blocking(move || operations.settle(before)).await {
-            Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are made final"),
+        let before = before_day(now_us(), retention_days);
+        match tokio::task::spawn_blocking(move || operations.compact(before)).await {
+            Ok(Ok(Some(number))) => tracing::info!(number, "uploads older than the retention are compacted"),
             Ok(Ok(None)) => {}
-            Ok(Err(error)) => tracing::error!(%error, "old uploads could not be made final; trying again"),
-            Err(error) => tracing::error!(%error, "making old uploads final did not end well"),
+            Ok(Err(error)) => tracing::error!(%error, "old uploads could not be compacted; trying again"),
+            Err(error) => tracing::error!(%error, "compacting old uploads did not end well"),
         }
     }
 }
 
-/// What was written before this day is no longer kept.
-fn before_day(now: SystemTime, retention_days: u16) -> u16 {
-    let today = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() / DAY_S);
-    u16::try_from(today).unwrap_or(u16::MAX).saturating_sub(retention_days)
+/// What was written before this day is compacted.
+fn before_day(now_us: i64, retention_days: u16) -> u16 {
+    day_of(now_us).saturating_sub(retention_days)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echofix_core::time::DAY_US;
 
     #[test]
     fn the_retention_is_counted_back_from_today() {
-        let day = |day| UNIX_EPOCH + Duration::from_secs(day * DAY_S + 7);
+        let day = |day| day * DAY_US + 7;
         assert_eq!(before_day(day(20_000), 90), 19_910);
         assert_eq!(before_day(day(3), 90), 0);
     }

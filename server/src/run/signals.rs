@@ -1,6 +1,6 @@
 //! When to end.
 
-/// Resolves when the process is told to end: SIGTERM, or ctrl-c.
+/// Resolves when the process is asked to end: SIGTERM, or ctrl-c.
 pub async fn signalled() {
     use tokio::signal::unix::{SignalKind, signal};
     let terminated = async {

@@ -1,11 +1,11 @@
-//! A copy of a data directory as a tar archive, made while the store goes on: key, base, and the journal up
+//! A backup: a data directory as a tar archive, made while the store is in use: key, checkpoint, and the journal up
 //! to what was on disk when it began. A store that is started on what the archive holds folds the same map.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
 
 use super::embedded::EmbeddedStore;
-use super::journal::Part;
+use super::journal::BackupPart;
 use super::{Error, io_error};
 
 const BLOCK: usize = 512;
@@ -23,25 +23,25 @@ impl EmbeddedStore {
         Ok(bytes)
     }
 
-    /// Opened all at once: what is settled and deleted later stays readable.
-    fn parts(&self) -> Result<Vec<Part>, Error> {
-        let base = self.shared.base();
+    /// Opened all at once: what is compacted and deleted later stays readable.
+    fn parts(&self) -> Result<Vec<BackupPart>, Error> {
+        let checkpoint = self.shared.checkpoint();
         let opening = "opening what is to be copied";
         let whole = |name: String| {
             let file = File::open(self.shared.dir.root().join(&name)).map_err(io_error(opening))?;
             let length = file.metadata().map_err(io_error(opening))?.len();
-            Ok::<_, Error>(Part { name, file, length })
+            Ok::<_, Error>(BackupPart { name, file, length })
         };
         let mut parts = vec![whole("key".to_owned())?];
-        if base.path.is_some() {
-            parts.push(whole(format!("base-{}", base.last))?);
+        if checkpoint.path.is_some() {
+            parts.push(whole(format!("base-{}", checkpoint.last))?);
         }
         parts.extend(self.shared.journal.parts(self.shared.index.newest_at())?);
         Ok(parts)
     }
 }
 
-fn put(out: &mut dyn Write, part: Part) -> io::Result<()> {
+fn put(out: &mut dyn Write, part: BackupPart) -> io::Result<()> {
     out.write_all(&header(&part.name, part.length))?;
     let copied = io::copy(&mut part.file.take(part.length), out)?;
     if copied < part.length {
@@ -51,12 +51,12 @@ fn put(out: &mut dyn Write, part: Part) -> io::Result<()> {
     out.write_all(&[0; BLOCK][..padding])
 }
 
-/// POSIX.1-1988 ("ustar"): the names are short, and 8 GiB is more than any file here has... but a base
+/// POSIX.1-1988 ("ustar"): the names are short, and 8 GiB is more than any file here has... but a checkpoint
 /// of a continent; GNU's binary sizes, which every tar reads, hold that, too.
 fn header(name: &str, length: u64) -> [u8; BLOCK] {
     let mut block = [0; BLOCK];
     block[..name.len()].copy_from_slice(name.as_bytes());
-    // The key makes contributors' hashes comparable: nobody else may read it.
+    // The key makes contributors' hashes comparable: only the owner may read it.
     block[100..108].copy_from_slice(b"0000600\0");
     block[108..116].copy_from_slice(b"0000000\0");
     block[116..124].copy_from_slice(b"0000000\0");

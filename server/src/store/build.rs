@@ -1,12 +1,12 @@
 //! A new generation of tiles, made beside the one that is served.
 //!
-//! 1. What is to be settled is folded into a new base: written, synced, renamed.
-//! 2. The base and the journal after it are folded, without what the controls exclude, into a new
+//! 1. What is to be compacted is folded into a new checkpoint: written, synced, renamed.
+//! 2. The checkpoint and the journal after it are folded, without what the controls exclude, into a new
 //!    directory.
 //! 3. Tiles whose bytes are as they were keep their version; the others get the control's number.
 //! 4. The manifest names the new generation: from here on a restart serves it.
-//! 5. It is served, and then what nobody needs any more is deleted: the old generation, the old base, the
-//!    settled segments.
+//! 5. It is served, and then what is no longer needed is deleted: the old generation, the old checkpoint, the
+//!    compacted segments.
 //!
 //! A crash before step 4 leaves the old state and some files that the next start removes; one after it
 //! leaves only deletions to be done.
@@ -17,19 +17,19 @@ use std::time::{Duration, Instant};
 
 use echofix_core::tile::Ledger;
 
-use super::base::Base;
-use super::fold::{Records, replay};
+use super::checkpoint::Checkpoint;
+use super::context::StoreContext;
+use super::fold::{CountedRecords, replay};
 use super::generation::Generation;
 use super::manifest::Manifest;
-use super::shared::Shared;
 use super::vetting::Vetting;
-use super::{Building, Error, State};
+use super::{Building, Error, MapStatus};
 
 /// Steps after which a test stops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
-    BaseFolded,
-    BaseWritten,
+pub(super) enum BuildStep {
+    CheckpointFolded,
+    CheckpointWritten,
     Created,
     Folded,
     Flushed,
@@ -47,82 +47,82 @@ pub(super) struct Built {
 }
 
 /// Makes a generation under the newest control and serves it. `None` when the end was called.
-pub(super) fn build(shared: &Shared) -> Result<Option<Built>, Error> {
+pub(super) fn build(shared: &StoreContext) -> Result<Option<Built>, Error> {
     let applied = shared.index.newest_control();
-    let mut told = Told::new(shared, applied);
-    let Some(base) = settled_base(shared, applied, &mut told)? else { return Ok(None) };
+    let mut reporter = BuildReporter::new(shared, applied);
+    let Some(checkpoint) = compacted_checkpoint(shared, applied, &mut reporter)? else { return Ok(None) };
     let number = shared.dir.next_generation()?;
     let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
     let fresh = Generation::create(&path, number, shared.cache_bytes, publish)?;
-    reached(shared, Step::Created)?;
-    let outcome = fill(shared, &fresh, &base, applied, &mut told);
+    reached(shared, BuildStep::Created)?;
+    let outcome = fill(shared, &fresh, &checkpoint, applied, &mut reporter);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
         fresh.retire();
         return Ok(None);
     };
     let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.policy.digest());
     Manifest { journal, generation: number, applied, lineage, policy }.write(shared.dir.root())?;
-    reached(shared, Step::Published)?;
+    reached(shared, BuildStep::Published)?;
     let generation = Arc::new(fresh);
     let before = shared.serve(Some(generation.clone()));
     shared.progress.send_modify(|progress| {
         progress.epoch = folded;
-        progress.state = State::Serving;
+        progress.state = MapStatus::Serving;
         progress.building = None;
     });
     if let Some(before) = before {
         before.retire();
     }
-    reached(shared, Step::Served)?;
-    if let Err(error) = forget_settled(shared, base) {
-        tracing::error!(%error, "settled records could not be deleted; the next start does");
+    reached(shared, BuildStep::Served)?;
+    if let Err(error) = discard_compacted(shared, checkpoint) {
+        tracing::error!(%error, "compacted records could not be deleted; the next start does");
     }
     tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
     Ok(Some(Built { generation, applied, folded }))
 }
 
-/// Deletes what a base stands for.
-pub(super) fn forget_settled(shared: &Shared, base: Base) -> Result<(), Error> {
-    let mut current = shared.base_mut();
-    let last = base.last;
-    shared.settled_uploads.store(base.uploads, Ordering::Relaxed);
-    *current = base;
-    shared.index.forget_up_to(last);
+/// Deletes what a checkpoint stands for.
+pub(super) fn discard_compacted(shared: &StoreContext, checkpoint: Checkpoint) -> Result<(), Error> {
+    let mut current = shared.checkpoint_mut();
+    let last = checkpoint.last;
+    shared.compacted_uploads.store(checkpoint.uploads, Ordering::Relaxed);
+    *current = checkpoint;
+    shared.index.truncate(last);
     shared.journal.delete_up_to(last)?;
     current.remove_others(shared.dir.root())
 }
 
-/// Folds base and journal into an empty generation. Returns the last record it holds; `None` when the
+/// Folds checkpoint and journal into an empty generation. Returns the last record it holds; `None` when the
 /// end was called.
 fn fill(
-    shared: &Shared,
+    shared: &StoreContext,
     fresh: &Generation,
-    base: &Base,
+    checkpoint: &Checkpoint,
     applied: u64,
-    told: &mut Told<'_>,
+    reporter: &mut BuildReporter<'_>,
 ) -> Result<Option<u64>, Error> {
     let (index, journal) = (&shared.index, &shared.journal);
     let mut vetting = Vetting::new(shared.policy.vetting);
-    fresh.load(base)?;
+    fresh.load(checkpoint)?;
     let exclusion = &index.exclusion(applied);
-    let records = Records { journal, index, exclusion };
-    let mut folded = base.last;
+    let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
+    let mut folded = checkpoint.last;
     loop {
         // A later control takes a generation of its own.
         let end = index.control_after(applied).map_or_else(|| index.newest(), |next| next - 1);
         if folded >= end {
             break;
         }
-        folded = replay(&records, &mut &*fresh, folded, end, &mut vetting, |at| told.at(at))?;
+        folded = replay(&records, &mut &*fresh, folded, end, &mut vetting, |at| reporter.at(at))?;
         if index.ended() {
             return Ok(None);
         }
     }
-    reached(shared, Step::Folded)?;
+    reached(shared, BuildStep::Folded)?;
     set_versions(fresh, shared.served().as_deref(), applied, folded)?;
     fresh.complete(shared.journal_id)?;
     fresh.tiles.flush()?;
-    reached(shared, Step::Flushed)?;
+    reached(shared, BuildStep::Flushed)?;
     Ok(Some(folded))
 }
 
@@ -147,28 +147,32 @@ fn set_versions(
     })
 }
 
-/// The base that the controls up to `applied` ask for; made if need be. `None` when the end was called.
-fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Option<Base>, Error> {
+/// The checkpoint that the controls up to `applied` ask for; made if need be. `None` when the end was called.
+fn compacted_checkpoint(
+    shared: &StoreContext,
+    applied: u64,
+    reporter: &mut BuildReporter<'_>,
+) -> Result<Option<Checkpoint>, Error> {
     let (root, index) = (shared.dir.root(), &shared.index);
-    let base = Base::newest(root, shared.journal_id)?;
-    if base.last < index.before() {
-        return Err(uncovered(index.before(), base.last));
+    let checkpoint = Checkpoint::newest(root, shared.journal_id)?;
+    if checkpoint.last < index.before() {
+        return Err(uncovered(index.before(), checkpoint.last));
     }
-    let mut settles = index.settles_beyond(base.last);
-    settles.retain(|(number, _)| *number <= applied);
-    let Some((_, newest)) = settles.last().copied() else { return Ok(Some(base)) };
+    let mut compactions = index.compactions_beyond(checkpoint.last);
+    compactions.retain(|(number, _)| *number <= applied);
+    let Some((_, newest)) = compactions.last().copied() else { return Ok(Some(checkpoint)) };
     let (path, publish) = (shared.dir.scratch(), shared.policy.publish_contributors);
     let scratch = Generation::create(&path, 0, shared.cache_bytes, publish)?;
     // Its ledgers must not stay on disk.
     scratch.retire();
-    scratch.load(&base)?;
-    let (mut folded, journal) = (base.last, &shared.journal);
+    scratch.load(&checkpoint)?;
+    let (mut folded, journal) = (checkpoint.last, &shared.journal);
     let mut vetting = Vetting::new(shared.policy.vetting);
-    for (number, last) in settles {
-        // What was decided after a settlement does not change what was settled.
+    for (number, last) in compactions {
+        // What was decided after a compaction does not change what was compacted.
         let exclusion = &index.exclusion(number);
-        let records = Records { journal, index, exclusion };
-        folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| told.at(at))?;
+        let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
+        folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| reporter.at(at))?;
         if index.ended() {
             return Ok(None);
         }
@@ -177,36 +181,36 @@ fn settled_base(shared: &Shared, applied: u64, told: &mut Told<'_>) -> Result<Op
             Ok(true)
         })?;
     }
-    reached(shared, Step::BaseFolded)?;
-    let uploads = base.uploads + index.uploads_within(base.last, newest);
+    reached(shared, BuildStep::CheckpointFolded)?;
+    let uploads = checkpoint.uploads + index.uploads_within(checkpoint.last, newest);
     let lost = || Error::Damaged { what: "the scratch tiles".to_owned(), reason: "one is gone".to_owned() };
-    let base = Base::write(root, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
+    let checkpoint = Checkpoint::write(root, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
         scratch.tiles.raw(id)?.ok_or_else(lost)
     })?;
-    reached(shared, Step::BaseWritten)?;
-    Ok(Some(base))
+    reached(shared, BuildStep::CheckpointWritten)?;
+    Ok(Some(checkpoint))
 }
 
-/// Settled records are gone and what stood for them, too.
-pub(super) fn uncovered(before: u64, base: u64) -> Error {
+/// Compacted records are gone and what stood for them, too.
+pub(super) fn uncovered(before: u64, checkpoint: u64) -> Error {
     Error::Damaged {
-        what: "the base".to_owned(),
+        what: "the checkpoint".to_owned(),
         reason: format!(
-            "the journal begins after record {before} but the newest sound base ends at {base}. Restore the \
+            "the journal begins after record {before} but the newest sound checkpoint ends at {checkpoint}. Restore the \
              file base-{before} or a later one from a backup"
         ),
     }
 }
 
 /// Tells how far the building is.
-struct Told<'a> {
-    shared: &'a Shared,
+struct BuildReporter<'a> {
+    shared: &'a StoreContext,
     control: u64,
     last: Option<Instant>,
 }
 
-impl<'a> Told<'a> {
-    fn new(shared: &'a Shared, control: u64) -> Self {
+impl<'a> BuildReporter<'a> {
+    fn new(shared: &'a StoreContext, control: u64) -> Self {
         Self { shared, control, last: None }
     }
 
@@ -215,7 +219,7 @@ impl<'a> Told<'a> {
         let of = self.shared.index.newest();
         self.shared.progress.send_modify(|progress| {
             progress.building = Some(Building { folded, of, control: self.control });
-            if progress.state == State::Rebuilding {
+            if progress.state == MapStatus::Rebuilding {
                 progress.epoch = folded;
             }
         });
@@ -229,12 +233,12 @@ impl<'a> Told<'a> {
 
 #[cfg(not(test))]
 #[expect(clippy::unnecessary_wraps, reason = "fails where a test says so")]
-fn reached(_: &Shared, _: Step) -> Result<(), Error> {
+fn reached(_: &StoreContext, _: BuildStep) -> Result<(), Error> {
     Ok(())
 }
 
 #[cfg(test)]
-fn reached(shared: &Shared, step: Step) -> Result<(), Error> {
+fn reached(shared: &StoreContext, step: BuildStep) -> Result<(), Error> {
     if *shared.fails_at.lock().unwrap() == Some(step) {
         return Err(Error::Stopped(format!("the test stops at {step:?}")));
     }

@@ -31,7 +31,7 @@ impl Catalog {
         self.newest_day = self.newest_day.max(info.newest_day);
     }
 
-    /// Sum of what all tiles are stamped with, once these are added: tells whether a set of stored tiles
+    /// Sum of what all tiles are stamped with, once these are added, by which is checked whether a set of stored tiles
     /// is whole and of one time.
     pub(super) fn digest_with(&self, infos: &[TileInfo]) -> u64 {
         let changed = infos.iter().fold(self.digest, |digest, info| digest.wrapping_add(stamp(info)));

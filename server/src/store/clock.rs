@@ -1,34 +1,43 @@
-//! What day it is.
+//! What time it is.
 
+use std::fmt;
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-const DAY_US: i64 = 86_400_000_000;
+use echofix_core::time::day_of;
 
-/// Microseconds since the Unix epoch.
-pub(super) fn now_us() -> i64 {
-    #[cfg(test)]
-    if let Some(day) = tests::TODAY.get() {
-        return i64::from(day) * DAY_US;
+/// A source of the time. The store takes the days of its records from it.
+#[derive(Clone)]
+pub struct StoreClock(Arc<dyn Fn() -> i64 + Send + Sync>);
+
+impl StoreClock {
+    /// A clock that reads a function: microseconds since the Unix epoch.
+    pub fn new(now_us: impl Fn() -> i64 + Send + Sync + 'static) -> Self {
+        Self(Arc::new(now_us))
     }
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64)
+
+    /// Microseconds since the Unix epoch.
+    #[must_use]
+    pub fn now_us(&self) -> i64 {
+        (self.0)()
+    }
+
+    /// The UTC day, counted from the Unix epoch.
+    #[must_use]
+    pub fn today(&self) -> u16 {
+        day_of(self.now_us())
+    }
 }
 
-/// The UTC day of a time, counted from the Unix epoch.
-pub(super) fn day_of(time_us: i64) -> u16 {
-    (time_us / DAY_US).clamp(0, i64::from(u16::MAX)) as u16
+/// The system's clock.
+impl Default for StoreClock {
+    fn default() -> Self {
+        Self::new(|| SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64))
+    }
 }
 
-/// The UTC day, counted from the Unix epoch.
-pub(super) fn today() -> u16 {
-    day_of(now_us())
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use std::cell::Cell;
-
-    thread_local! {
-        /// What a test says the day is, for calls of its own thread.
-        pub(in crate::store) static TODAY: Cell<Option<u16>> = const { Cell::new(None) };
+impl fmt::Debug for StoreClock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StoreClock").finish_non_exhaustive()
     }
 }

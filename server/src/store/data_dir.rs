@@ -4,9 +4,9 @@
 //! lock       held while a server runs
 //! key        16 random bytes, mode 0600: what contributors' pseudonyms are hashed with
 //! journal/   the source of truth
-//! base-<n>   the source of truth for the records up to n that were settled
+//! base-<n>   the source of truth for the records up to n that were compacted
 //! manifest   which tiles are served
-//! tiles-<n>/ sled, a generation of tiles; folded from base and journal, may be deleted while no server runs
+//! tiles-<n>/ sled, a generation of tiles; folded from checkpoint and journal, may be deleted while no server runs
 //! ```
 
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -22,7 +22,7 @@ use super::{Error, io_error};
 
 /// Ends the names of files that are being written.
 const UNFINISHED: &str = ".new";
-/// Tiles that are folded to be settled.
+/// Tiles that are folded to be compacted.
 const SCRATCH: &str = "scratch";
 
 /// A locked data directory.
@@ -77,12 +77,12 @@ impl DataDir {
 
     /// Removes all tiles but those of a generation, and whatever unfinished work left over.
     pub(super) fn remove_all_but(&self, generation: Option<u64>) -> Result<(), Error> {
-        let kept = generation.map(|number| format!("tiles-{number}"));
+        let current = generation.map(|number| format!("tiles-{number}"));
         for name in self.names()? {
             let tiles = name.starts_with("tiles") || name == SCRATCH;
             let unfinished = name.ends_with(UNFINISHED);
             let path = self.root.join(&name);
-            if tiles && kept.as_ref() != Some(&name) {
+            if tiles && current.as_ref() != Some(&name) {
                 fs::remove_dir_all(path).map_err(io_error("removing old tiles"))?;
             } else if unfinished {
                 fs::remove_file(path).map_err(io_error("removing an unfinished file"))?;
@@ -131,7 +131,7 @@ fn key(root: &Path) -> io::Result<[u8; 16]> {
     Ok(key)
 }
 
-/// Under a new key every contributor would count again, as somebody else.
+/// Under a new key every contributor would count again, as another one.
 fn key_is_missing(root: &Path) -> Error {
     Error::Damaged {
         what: format!("the data directory {}", root.display()),

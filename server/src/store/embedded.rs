@@ -7,28 +7,29 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::time::day_of;
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::base::Base;
+use super::checkpoint::Checkpoint;
+use super::context::StoreContext;
 use super::data_dir::DataDir;
-use super::entry::{self, Action, Control, Kind, Note};
+use super::entry::{self, Action, Control, RecordKind, RecordMeta};
 use super::fold::unreadable;
-use super::folder::{self, Folder};
+use super::fold_worker::{self, FoldWorker};
 use super::generation::Generation;
-use super::index::{Claim, Index};
+use super::index::{JournalIndex, Reserved};
 use super::journal::{Journal, Written};
 use super::manifest::Manifest;
-use super::shared::Shared;
 use super::{
-    Error, Event, Imported, MapStore, Operations, Options, Progress, Quarantined, Receipt, Region, Snapshot,
-    State, StoredTile, TileInfo, Totals, Upload, Verified, build, clock, io_error,
+    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options, QuarantinedRecord,
+    Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, io_error,
 };
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
 pub struct EmbeddedStore {
-    pub(super) shared: Arc<Shared>,
-    folder: Option<JoinHandle<()>>,
+    pub(super) shared: Arc<StoreContext>,
+    worker: Option<JoinHandle<()>>,
 }
 
 impl EmbeddedStore {
@@ -39,56 +40,57 @@ impl EmbeddedStore {
     /// When the directory is in use, the disk refuses, or an acknowledged upload is damaged.
     pub fn open(options: &Options) -> Result<Self, Error> {
         let dir = DataDir::open(&options.data_dir)?;
-        let index = Arc::new(Index::default());
+        let index = Arc::new(JournalIndex::default());
         let found = Journal::recover(&dir.journal(), |written, payload| {
-            index.note(&entry::note(payload).ok_or_else(|| unreadable(written.number))?, written);
+            index.insert(&entry::meta(payload).ok_or_else(|| unreadable(written.number))?, written);
             Ok(())
         })?;
         index.begin_after(found.end());
-        let base = Base::newest(dir.root(), found.id())?;
-        if base.last < index.before() {
-            return Err(build::uncovered(index.before(), base.last));
+        let checkpoint = Checkpoint::newest(dir.root(), found.id())?;
+        if checkpoint.last < index.before() {
+            return Err(build::uncovered(index.before(), checkpoint.last));
         }
-        let manifest = Manifest::read(dir.root()).filter(|manifest| manifest.journal == found.id());
+        let manifest =
+            Manifest::read(dir.root(), &options.policy)?.filter(|manifest| manifest.journal == found.id());
         let policy = options.policy.digest();
         let lineage = match &manifest {
             Some(manifest) if manifest.policy == policy => manifest.lineage,
             _ => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
         };
-        let mut folder = resume(&dir, options, manifest, &index)?;
-        if folder.on.is_none() && index.newest() == 0 {
-            folder.on = Some(first(&dir, options, found.id(), lineage)?);
+        let mut worker = resume(&dir, options, manifest, &index)?;
+        if worker.on.is_none() && index.newest() == 0 {
+            worker.on = Some(first(&dir, options, found.id(), lineage)?);
         }
-        dir.remove_all_but(folder.on.as_ref().map(|generation| generation.number))?;
+        dir.remove_all_but(worker.on.as_ref().map(|generation| generation.number))?;
         let end = index.newest();
-        let state = if shows_all(&folder, &index) { State::Serving } else { State::Rebuilding };
-        let epoch = folder.folded;
+        let state = if shows_all(&worker, &index) { MapStatus::Serving } else { MapStatus::Rebuilding };
+        let epoch = worker.folded;
         let progress =
-            watch::Sender::new(Progress { state, epoch, journaled: end, building: None, stopped: false });
+            watch::Sender::new(MapProgress { state, epoch, journaled: end, building: None, stopped: false });
         let deliver = {
             let (index, progress) = (index.clone(), progress.clone());
-            move |note: Note, written: Written| {
-                // Noting wakes the folding thread: it must not be ahead of what is told.
+            move |meta: RecordMeta, written: Written| {
+                // The index wakes the folding thread, which must not be ahead of the progress.
                 progress.send_modify(|progress| progress.journaled = written.number);
-                index.note(&note, written);
+                index.insert(&meta, written);
             }
         };
         let journal_id = found.id();
         let journal =
             Journal::start(&dir.journal(), found, index.newest_day(), options.segment_bytes, deliver)?;
-        let (journal, served) = ((journal_id, lineage, journal), (folder.on.clone(), base.clone()));
-        let shared = Arc::new(Shared::new(dir, options, journal, index, progress, served));
-        if folder.on.is_some() && folder.applied >= shared.index.newest_control() {
-            build::forget_settled(&shared, base)?;
+        let (journal, served) = ((journal_id, lineage, journal), (worker.on.clone(), checkpoint.clone()));
+        let shared = Arc::new(StoreContext::new(dir, options, journal, index, progress, served));
+        if worker.on.is_some() && worker.applied >= shared.index.newest_control() {
+            build::discard_compacted(&shared, checkpoint)?;
         }
         let thread = {
             let shared = shared.clone();
             let thread = std::thread::Builder::new().name("fold".to_owned());
             thread
-                .spawn(move || folder::run(&shared, folder))
+                .spawn(move || fold_worker::run(&shared, worker))
                 .map_err(io_error("starting the folding thread"))?
         };
-        Ok(Self { shared, folder: Some(thread) })
+        Ok(Self { shared, worker: Some(thread) })
     }
 
     fn counted_as(&self, written: Written) -> Result<Receipt, Error> {
@@ -97,19 +99,19 @@ impl EmbeddedStore {
         Ok(Receipt::Duplicate { epoch: written.number, answer })
     }
 
-    pub(super) fn append(&self, note: Note, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
-        let written = self.shared.journal.append(note, fresh, payload);
+    pub(super) fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
+        let written = self.shared.journal.append(meta, fresh, payload);
         written.inspect_err(|error| self.shared.note_stop(error))
     }
 
-    /// Writes a control; the caller holds [`Shared::decide`].
+    /// Writes a control; the caller holds [`StoreContext::decide`].
     fn control(&self, action: Action) -> Result<u64, Error> {
-        let at_us = clock::now_us();
-        let (note, payload) = entry::control(clock::day_of(at_us), Control { at_us, action });
-        // Settled segments end where the settlement begins.
-        let fresh = matches!(action, Action::Settle(_));
-        let written = self.append(note, fresh, payload)?;
-        tracing::info!(number = written.number, ?action, "a control was written");
+        let at_us = self.shared.clock.now_us();
+        let (meta, payload) = entry::control(day_of(at_us), Control { at_us, action });
+        // Compacted segments end where the compaction begins.
+        let fresh = matches!(action, Action::Compact(_));
+        let written = self.append(meta, fresh, payload)?;
+        tracing::info!(number = written.number, action = action.word(), "a control was written");
         Ok(written.number)
     }
 }
@@ -119,9 +121,9 @@ fn resume(
     dir: &DataDir,
     options: &Options,
     manifest: Option<Manifest>,
-    index: &Index,
-) -> Result<Folder, Error> {
-    let nothing = Folder { on: None, applied: 0, folded: index.before() };
+    index: &JournalIndex,
+) -> Result<FoldWorker, Error> {
+    let nothing = FoldWorker { on: None, applied: 0, folded: index.before() };
     let Some(Manifest { generation: number, applied, journal, policy, .. }) = manifest else {
         return Ok(nothing);
     };
@@ -136,9 +138,9 @@ fn resume(
             tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
             Ok(nothing)
         }
-        Ok((generation, folded)) => Ok(Folder { on: Some(Arc::new(generation)), applied, folded }),
+        Ok((generation, folded)) => Ok(FoldWorker { on: Some(Arc::new(generation)), applied, folded }),
         Err(reason) => {
-            tracing::warn!(reason, "the tiles cannot be used; folding them anew");
+            tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
             Ok(nothing)
         }
     }
@@ -149,7 +151,7 @@ fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Resul
     let number = dir.next_generation()?;
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
     let generation = Generation::create(&dir.generation(number), number, cache_bytes, publish)?;
-    generation.load(&Base::default())?;
+    generation.load(&Checkpoint::default())?;
     generation.complete(journal)?;
     let policy = options.policy.digest();
     Manifest { journal, generation: number, applied: 0, lineage, policy }.write(dir.root())?;
@@ -157,9 +159,9 @@ fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Resul
 }
 
 /// Does a generation hold all that it ever can, so that it showed no more before?
-fn shows_all(folder: &Folder, index: &Index) -> bool {
-    let end = index.control_after(folder.applied).map_or_else(|| index.newest(), |control| control - 1);
-    folder.on.is_some() && folder.folded >= end
+fn shows_all(worker: &FoldWorker, index: &JournalIndex) -> bool {
+    let end = index.control_after(worker.applied).map_or_else(|| index.newest(), |control| control - 1);
+    worker.on.is_some() && worker.folded >= end
 }
 
 /// Tiles are folded from records on disk only, so the journal has lost some.
@@ -182,12 +184,12 @@ impl MapStore for EmbeddedStore {
         self.shared.lineage
     }
 
-    fn commit(&self, upload: Upload) -> Result<Receipt, Error> {
-        match self.shared.index.claim(upload.id) {
-            Claim::Counted(written) => self.counted_as(written),
-            Claim::Ours(_pending) => {
-                let (note, payload) = entry::upload(clock::today(), &upload);
-                Ok(Receipt::Counted { epoch: self.append(note, false, payload)?.number })
+    fn commit(&self, upload: UploadRecord) -> Result<Receipt, Error> {
+        match self.shared.index.reserve(upload.id) {
+            Reserved::Counted(written) => self.counted_as(written),
+            Reserved::New(_reservation) => {
+                let (meta, payload) = entry::upload(self.shared.clock.today(), &upload);
+                Ok(Receipt::Counted { epoch: self.append(meta, false, payload)?.number })
             }
         }
     }
@@ -214,7 +216,7 @@ impl MapStore for EmbeddedStore {
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error> {
         let mut found = self.shared.readable()?.catalog().block(zone, &x, &y);
-        // That somebody drove there is nobody's business until enough did.
+        // That a contributor drove there is private until enough did.
         found.retain(|info| info.cells > 0);
         Ok(found)
     }
@@ -224,13 +226,13 @@ impl MapStore for EmbeddedStore {
     }
 
     fn totals(&self) -> Totals {
-        let settled = self.shared.settled_uploads.load(Ordering::Relaxed);
-        let uploads = settled + self.shared.index.uploads();
+        let compacted = self.shared.compacted_uploads.load(Ordering::Relaxed);
+        let uploads = compacted + self.shared.index.uploads();
         let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads));
         totals.unwrap_or(Totals { uploads, ..Totals::default() })
     }
 
-    fn progress(&self) -> watch::Receiver<Progress> {
+    fn progress(&self) -> watch::Receiver<MapProgress> {
         self.shared.progress.subscribe()
     }
 }
@@ -239,20 +241,22 @@ impl Operations for EmbeddedStore {
     fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
         let _deciding = self.shared.decide();
         let contributor = self.shared.dir.contributor(pseudonym);
-        let settled = self.shared.index.settled();
-        if !self.shared.index.any_after(settled, Kind::Upload { contributor }) {
-            return Err(Error::Unknown("this contributor has told nothing that is not settled".to_owned()));
+        let compacted = self.shared.index.compacted();
+        if !self.shared.index.any_after(compacted, RecordKind::Upload { contributor }) {
+            return Err(Error::Unknown(
+                "this contributor has uploaded nothing that is not compacted".to_owned(),
+            ));
         }
         self.control(Action::RevokeContributor(contributor))
     }
 
     fn revoke_upload(&self, id: Uuid) -> Result<u64, Error> {
         let _deciding = self.shared.decide();
-        let (index, settled) = (&self.shared.index, self.shared.index.settled());
-        let an_upload = index.find(id).is_some_and(|written| written.number > settled);
-        if !an_upload && !index.any_after(settled, Kind::Import { file: id }) {
+        let (index, compacted) = (&self.shared.index, self.shared.index.compacted());
+        let an_upload = index.find(id).is_some_and(|written| written.number > compacted);
+        if !an_upload && !index.any_after(compacted, RecordKind::Import { file: id }) {
             return Err(Error::Unknown(format!(
-                "no upload or imported file {id} that is not settled is known"
+                "no upload or imported file {id} that is not compacted is known"
             )));
         }
         self.control(Action::RevokeUpload(id))
@@ -264,20 +268,20 @@ impl Operations for EmbeddedStore {
         self.control(Action::Rollback(epoch))
     }
 
-    fn settle(&self, before_day: u16) -> Result<Option<u64>, Error> {
+    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error> {
         let _deciding = self.shared.decide();
         let Some(last) = self.shared.index.last_before(before_day) else { return Ok(None) };
-        if self.shared.index.settled() >= last {
+        if self.shared.index.compacted() >= last {
             return Ok(None);
         }
-        self.control(Action::Settle(last)).map(Some)
+        self.control(Action::Compact(last)).map(Some)
     }
 
-    fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+    fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         self.shared.readable()?.tiles.quarantined()
     }
 
-    fn history(&self, limit: usize) -> Vec<Event> {
+    fn history(&self, limit: usize) -> Vec<HistoryEvent> {
         self.events(limit)
     }
 
@@ -306,21 +310,21 @@ impl EmbeddedStore {
     /// Is this the epoch of a map that can be had?
     pub(super) fn in_journal(&self, epoch: u64) -> Result<(), Error> {
         let (oldest, newest) =
-            (self.shared.index.settled().max(self.shared.index.before()), self.shared.index.newest());
+            (self.shared.index.compacted().max(self.shared.index.before()), self.shared.index.newest());
         if (oldest..=newest).contains(&epoch) {
             return Ok(());
         }
-        let told = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
-        Err(Error::Unknown(told))
+        let reason = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
+        Err(Error::Unknown(reason))
     }
 }
 
 impl Drop for EmbeddedStore {
     fn drop(&mut self) {
         self.shared.index.end();
-        if let Some(folder) = self.folder.take() {
+        if let Some(worker) = self.worker.take() {
             // What it did not fold is folded at the next start.
-            let _ = folder.join();
+            let _ = worker.join();
         }
     }
 }

@@ -10,7 +10,7 @@
 //! | 1 revoke contributor | hash (8 bytes, LE), varint time |
 //! | 2 revoke upload | id (16 bytes), varint time |
 //! | 3 roll back | varint epoch, varint time |
-//! | 4 settle | varint last record settled, varint time |
+//! | 4 compact | varint last record compacted, varint time |
 //! | 5 import | id of the file (16 bytes), EPSG code, x, y, the encoded tile |
 //!
 //! Times are microseconds since the Unix epoch.
@@ -19,38 +19,38 @@ use echofix_core::geo::{TileId, Zone};
 use echofix_core::varint::{VarintReader, VarintWriter};
 use uuid::Uuid;
 
-use super::{Upload, record};
+use super::{UploadRecord, record};
 
 const VERSION: u8 = 0xe1;
 const UPLOAD: u8 = 0;
 const REVOKE_CONTRIBUTOR: u8 = 1;
 const REVOKE_UPLOAD: u8 = 2;
 const ROLLBACK: u8 = 3;
-const SETTLE: u8 = 4;
+const COMPACT: u8 = 4;
 const IMPORT: u8 = 5;
 
-/// What the index keeps of a record.
+/// What the index needs of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Note {
+pub(super) struct RecordMeta {
     /// UTC day the record was written on, counted from the Unix epoch.
     pub(super) day: u16,
-    pub(super) what: What,
+    pub(super) what: RecordSubject,
 }
 
 /// What a record is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum What {
-    /// A vehicle told something.
+pub(super) enum RecordSubject {
+    /// A vehicle's upload.
     Upload { id: Uuid, contributor: u64 },
     /// A tile of another map's file.
     Import { file: Uuid, tile: TileId },
-    /// An operator decided.
+    /// An operator's decision.
     Control(Control),
 }
 
-/// What of a [`What`] is kept for every record.
+/// The kind of a record, and by what it may be excluded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum RecordKind {
     Upload { contributor: u64 },
     Import { file: Uuid },
     Control,
@@ -73,46 +73,58 @@ pub(super) enum Action {
     RevokeUpload(Uuid),
     /// No earlier upload or import after this epoch counts.
     Rollback(u64),
-    /// The records up to this one are in the base, whatever is decided later.
-    Settle(u64),
+    /// The records up to this one are in the checkpoint, whatever is decided later.
+    Compact(u64),
+}
+
+impl Action {
+    /// Its word in the log, which says nothing about whom it concerns.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::RevokeContributor(_) => "revoke_contributor",
+            Self::RevokeUpload(_) => "revoke_upload",
+            Self::Rollback(_) => "rollback",
+            Self::Compact(_) => "compact",
+        }
+    }
 }
 
 /// What folding does with a record.
 #[derive(Debug)]
-pub(super) enum Entry {
-    Upload(Box<Upload>),
+pub(super) enum RecordContent {
+    Upload(Box<UploadRecord>),
     Import { tile: TileId, encoded: Vec<u8> },
     Control,
 }
 
-pub(super) fn upload(day: u16, upload: &Upload) -> (Note, Vec<u8>) {
+pub(super) fn upload(day: u16, upload: &UploadRecord) -> (RecordMeta, Vec<u8>) {
     let mut out = begun(day, UPLOAD);
     out.bytes.extend(record::encode(upload));
-    let what = What::Upload { id: upload.id, contributor: upload.pass.contributor };
-    (Note { day, what }, out.bytes)
+    let what = RecordSubject::Upload { id: upload.id, contributor: upload.pass.contributor };
+    (RecordMeta { day, what }, out.bytes)
 }
 
-pub(super) fn control(day: u16, control: Control) -> (Note, Vec<u8>) {
+pub(super) fn control(day: u16, control: Control) -> (RecordMeta, Vec<u8>) {
     let (kind, content) = match control.action {
         Action::RevokeContributor(hash) => (REVOKE_CONTRIBUTOR, hash.to_le_bytes().to_vec()),
         Action::RevokeUpload(id) => (REVOKE_UPLOAD, id.as_bytes().to_vec()),
         Action::Rollback(epoch) => (ROLLBACK, varint(epoch)),
-        Action::Settle(last) => (SETTLE, varint(last)),
+        Action::Compact(last) => (COMPACT, varint(last)),
     };
     let mut out = begun(day, kind);
     out.bytes.extend(content);
     out.put(control.at_us as u64);
-    (Note { day, what: What::Control(control) }, out.bytes)
+    (RecordMeta { day, what: RecordSubject::Control(control) }, out.bytes)
 }
 
-pub(super) fn import(day: u16, file: Uuid, tile: TileId, encoded: &[u8]) -> (Note, Vec<u8>) {
+pub(super) fn import(day: u16, file: Uuid, tile: TileId, encoded: &[u8]) -> (RecordMeta, Vec<u8>) {
     let mut out = begun(day, IMPORT);
     out.bytes.extend_from_slice(file.as_bytes());
     out.put(u64::from(tile.zone.epsg()));
     out.put_signed(i64::from(tile.x));
     out.put_signed(i64::from(tile.y));
     out.bytes.extend_from_slice(encoded);
-    (Note { day, what: What::Import { file, tile } }, out.bytes)
+    (RecordMeta { day, what: RecordSubject::Import { file, tile } }, out.bytes)
 }
 
 fn begun(day: u16, kind: u8) -> VarintWriter {
@@ -130,27 +142,27 @@ fn varint(value: u64) -> Vec<u8> {
 }
 
 /// The index's part of a record; `None` when the bytes do not follow the format.
-pub(super) fn note(bytes: &[u8]) -> Option<Note> {
+pub(super) fn meta(bytes: &[u8]) -> Option<RecordMeta> {
     let (day, kind, mut rest) = open(bytes)?;
     let what = match kind {
         UPLOAD => {
             let head = record::decode_head(rest.rest)?;
-            What::Upload { id: head.id, contributor: head.pass.contributor }
+            RecordSubject::Upload { id: head.id, contributor: head.pass.contributor }
         }
         IMPORT => {
             let (file, tile) = import_head(&mut rest)?;
-            What::Import { file, tile }
+            RecordSubject::Import { file, tile }
         }
         _ => {
             let action = action(kind, &mut rest)?;
             let at_us = rest.get::<u64>()? as i64;
-            rest.rest.is_empty().then_some(What::Control(Control { at_us, action }))?
+            rest.rest.is_empty().then_some(RecordSubject::Control(Control { at_us, action }))?
         }
     };
-    Some(Note { day, what })
+    Some(RecordMeta { day, what })
 }
 
-/// The answer an upload's record keeps; `None` when it is no upload.
+/// The answer in an upload's record; `None` when it is no upload.
 pub(super) fn answer(bytes: &[u8]) -> Option<Vec<u8>> {
     let (_, kind, rest) = open(bytes)?;
     let head = (kind == UPLOAD).then(|| record::decode_head(rest.rest))?;
@@ -158,15 +170,15 @@ pub(super) fn answer(bytes: &[u8]) -> Option<Vec<u8>> {
 }
 
 /// The whole of a record; `None` when the bytes do not follow the format.
-pub(super) fn decode(bytes: &[u8]) -> Option<Entry> {
+pub(super) fn decode(bytes: &[u8]) -> Option<RecordContent> {
     let (_, kind, mut rest) = open(bytes)?;
     Some(match kind {
-        UPLOAD => Entry::Upload(Box::new(record::decode(rest.rest)?)),
+        UPLOAD => RecordContent::Upload(Box::new(record::decode(rest.rest)?)),
         IMPORT => {
             let (_, tile) = import_head(&mut rest)?;
-            Entry::Import { tile, encoded: rest.rest.to_vec() }
+            RecordContent::Import { tile, encoded: rest.rest.to_vec() }
         }
-        _ => action(kind, &mut rest).map(|_| Entry::Control)?,
+        _ => action(kind, &mut rest).map(|_| RecordContent::Control)?,
     })
 }
 
@@ -192,7 +204,7 @@ fn action(kind: u8, input: &mut VarintReader<'_>) -> Option<Action> {
         REVOKE_CONTRIBUTOR => Action::RevokeContributor(u64::from_le_bytes(input.take(8)?.try_into().ok()?)),
         REVOKE_UPLOAD => Action::RevokeUpload(Uuid::from_slice(input.take(16)?).ok()?),
         ROLLBACK => Action::Rollback(input.get()?),
-        SETTLE => Action::Settle(input.get()?),
+        COMPACT => Action::Compact(input.get()?),
         _ => return None,
     })
 }
@@ -208,7 +220,7 @@ mod tests {
             any::<u64>().prop_map(Action::RevokeContributor),
             any::<u128>().prop_map(|id| Action::RevokeUpload(Uuid::from_u128(id))),
             any::<u64>().prop_map(Action::Rollback),
-            any::<u64>().prop_map(Action::Settle),
+            any::<u64>().prop_map(Action::Compact),
         ];
         (any::<i64>(), action).prop_map(|(at_us, action)| Control { at_us, action })
     }
@@ -216,29 +228,29 @@ mod tests {
     proptest! {
         #[test]
         fn records_of_every_kind_survive_their_bytes(upload in uploads(), control in controls(), day: u16) {
-            let (noted, bytes) = super::upload(day, &upload);
-            prop_assert_eq!(note(&bytes), Some(noted));
+            let (written, bytes) = super::upload(day, &upload);
+            prop_assert_eq!(meta(&bytes), Some(written));
             prop_assert_eq!(answer(&bytes), Some(upload.answer.clone()));
-            let Some(Entry::Upload(decoded)) = decode(&bytes) else { panic!("no upload") };
+            let Some(RecordContent::Upload(decoded)) = decode(&bytes) else { panic!("no upload") };
             prop_assert_eq!(*decoded, upload.clone());
 
-            let (noted, bytes) = super::control(day, control);
-            prop_assert_eq!(note(&bytes), Some(noted));
-            prop_assert!(matches!(decode(&bytes), Some(Entry::Control)));
+            let (written, bytes) = super::control(day, control);
+            prop_assert_eq!(meta(&bytes), Some(written));
+            prop_assert!(matches!(decode(&bytes), Some(RecordContent::Control)));
             prop_assert_eq!(answer(&bytes), None);
 
             let at = *upload.contribution.tiles.keys().next().unwrap();
-            let (noted, bytes) = import(day, upload.id, at, b"tile");
-            prop_assert_eq!(note(&bytes), Some(noted));
-            let Some(Entry::Import { tile, encoded }) = decode(&bytes) else { panic!("no import") };
+            let (written, bytes) = import(day, upload.id, at, b"tile");
+            prop_assert_eq!(meta(&bytes), Some(written));
+            let Some(RecordContent::Import { tile, encoded }) = decode(&bytes) else { panic!("no import") };
             prop_assert_eq!((tile, &encoded[..]), (at, &b"tile"[..]));
         }
 
         #[test]
         fn any_bytes_are_read_without_harm(mut bytes: Vec<u8>, kind in 0..8_u8) {
-            let _ = (note(&bytes), decode(&bytes), answer(&bytes));
+            let _ = (meta(&bytes), decode(&bytes), answer(&bytes));
             bytes.splice(..0, [VERSION, 7, kind]);
-            let _ = (note(&bytes), decode(&bytes), answer(&bytes));
+            let _ = (meta(&bytes), decode(&bytes), answer(&bytes));
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use uuid::Uuid;
 
-use super::entry::{Action, Kind};
+use super::entry::{Action, RecordKind};
 
 /// The records that some controls exclude. A control speaks about earlier records only: what a revoked
 /// contributor sends later counts.
@@ -32,23 +32,23 @@ impl Exclusion {
                 self.files.insert(id, number);
             }
             Action::Rollback(epoch) => self.ranges.push((epoch, number)),
-            Action::Settle(_) => {}
+            Action::Compact(_) => {}
         }
     }
 
     /// Does this record not count?
-    pub(super) fn excludes(&self, number: u64, kind: Kind) -> bool {
+    pub(super) fn excludes(&self, number: u64, kind: RecordKind) -> bool {
         let rolled_back = || self.ranges.iter().any(|(last, again)| (last + 1..*again).contains(&number));
         match kind {
-            Kind::Upload { contributor } => {
+            RecordKind::Upload { contributor } => {
                 self.uploads.contains(&number)
                     || self.contributors.get(&contributor).is_some_and(|again| number < *again)
                     || rolled_back()
             }
-            Kind::Import { file } => {
+            RecordKind::Import { file } => {
                 self.files.get(&file).is_some_and(|again| number < *again) || rolled_back()
             }
-            Kind::Control => false,
+            RecordKind::Control => false,
         }
     }
 }
@@ -64,13 +64,13 @@ mod tests {
         exclusion.add(10, Action::RevokeContributor(7), |_| None);
         exclusion.add(11, Action::RevokeUpload(id), |asked| (asked == id).then_some(4));
         exclusion.add(12, Action::Rollback(8), |_| None);
-        exclusion.add(13, Action::Settle(5), |_| None);
-        let by = |contributor| Kind::Upload { contributor };
+        exclusion.add(13, Action::Compact(5), |_| None);
+        let by = |contributor| RecordKind::Upload { contributor };
         let excluded = |kind| (1..16).filter(|number| exclusion.excludes(*number, kind)).collect::<Vec<_>>();
         assert_eq!(excluded(by(7)), [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11], "its own and the rolled back");
         assert_eq!(excluded(by(1)), [4, 9, 10, 11]);
-        assert_eq!(excluded(Kind::Import { file: id }), (1..12).collect::<Vec<_>>());
-        assert_eq!(excluded(Kind::Import { file: Uuid::nil() }), [9, 10, 11]);
-        assert_eq!(excluded(Kind::Control), [0; 0]);
+        assert_eq!(excluded(RecordKind::Import { file: id }), (1..12).collect::<Vec<_>>());
+        assert_eq!(excluded(RecordKind::Import { file: Uuid::nil() }), [9, 10, 11]);
+        assert_eq!(excluded(RecordKind::Control), [0; 0]);
     }
 }

@@ -4,32 +4,32 @@
 use echofix_core::geo::TileId;
 use echofix_core::tile;
 
-use super::canvas::{Canvas, Folded, InMemory, Source};
-use super::entry::{self, Entry};
+use super::entry::{self, RecordContent};
 use super::exclusion::Exclusion;
 use super::generation::Generation;
-use super::index::Index;
+use super::index::JournalIndex;
 use super::journal::{Journal, Written};
-use super::vetting::{Outcome, Quarantined, Vetting};
-use super::{Error, Upload};
+use super::vetting::{QuarantinedRecord, Vetting, VettingOutcome};
+use super::write_buffer::{Folded, InMemory, Source, WriteBuffer};
+use super::{Error, UploadRecord};
 
-/// A map that keeps what was folded.
+/// A map that is written to.
 pub(super) trait Sink: Source {
-    /// Keeps changed tiles, and notes of the uploads that were kept out of them; the map goes up to the record
+    /// Writes changed tiles, and the uploads that were quarantined; the map goes up to the record
     /// `folded` with them.
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
-        quarantined: &[Quarantined],
+        quarantined: &[QuarantinedRecord],
         folded: u64,
     ) -> Result<(), Error>;
 }
 
 impl Sink for InMemory {
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
-        _: &[Quarantined],
+        _: &[QuarantinedRecord],
         _: u64,
     ) -> Result<(), Error> {
         self.extend(changed);
@@ -38,10 +38,10 @@ impl Sink for InMemory {
 }
 
 impl Sink for &Generation {
-    fn keep(
+    fn write(
         &mut self,
         changed: impl Iterator<Item = (TileId, Folded)>,
-        quarantined: &[Quarantined],
+        quarantined: &[QuarantinedRecord],
         folded: u64,
     ) -> Result<(), Error> {
         self.put(changed, quarantined, folded)
@@ -51,17 +51,17 @@ impl Sink for &Generation {
 /// Folds one upload: the only place where an upload changes the map. What it does must follow from the
 /// tiles on the canvas and the upload alone, so that a replay gives the same bytes.
 fn fold(
-    canvas: &mut Canvas<'_>,
+    buffer: &mut WriteBuffer<'_>,
     number: u64,
-    upload: &Upload,
+    upload: &UploadRecord,
     vetting: &mut Vetting,
-) -> Result<Option<Quarantined>, Error> {
-    let counts = match vetting.vet(canvas, number, upload)? {
-        Outcome::Counts(counts) => counts,
-        Outcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
+) -> Result<Option<QuarantinedRecord>, Error> {
+    let counts = match vetting.vet(buffer, number, upload)? {
+        VettingOutcome::Counts(counts) => counts,
+        VettingOutcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
     };
     for (id, share, offset) in counts {
-        let folded = canvas.change(id, number)?;
+        let folded = buffer.change(id, number)?;
         folded.ledger.forget_before(upload.forget_before);
         folded.tile.fold_moved(&mut folded.ledger, upload.pass, &share, offset);
     }
@@ -70,26 +70,26 @@ fn fold(
 
 /// Folds a record of any kind.
 fn fold_record(
-    canvas: &mut Canvas<'_>,
+    buffer: &mut WriteBuffer<'_>,
     number: u64,
     payload: &[u8],
     vetting: &mut Vetting,
-) -> Result<Option<Quarantined>, Error> {
+) -> Result<Option<QuarantinedRecord>, Error> {
     match entry::decode(payload).ok_or_else(|| unreadable(number))? {
-        Entry::Upload(upload) => fold(canvas, number, &upload, vetting),
-        Entry::Import { tile: id, encoded } => {
+        RecordContent::Upload(upload) => fold(buffer, number, &upload, vetting),
+        RecordContent::Import { tile: id, encoded } => {
             let imported = tile::decode(&encoded).map_err(|_| unreadable(number))?;
-            let folded = canvas.change(id, number)?;
+            let folded = buffer.change(id, number)?;
             folded.tile = folded.tile.merged(&imported);
             Ok(None)
         }
-        Entry::Control => Ok(None),
+        RecordContent::Control => Ok(None),
     }
 }
 
 /// Folds a group of records, each tile read and written once, unless there are very many of them.
 pub(super) fn fold_group(
-    journal: &Journal,
+    (journal, buffer_tiles): (&Journal, usize),
     sink: &mut impl Sink,
     counted: &[Written],
     folded: u64,
@@ -98,18 +98,18 @@ pub(super) fn fold_group(
     let mut reader = journal.reader();
     let mut left = counted.iter();
     loop {
-        let mut canvas = Canvas::new(sink);
+        let mut buffer = WriteBuffer::new(sink, buffer_tiles);
         let (mut quarantined, mut up_to) = (Vec::new(), folded);
         while let Some(written) = left.next() {
             let payload = reader.payload(written.at)?;
-            quarantined.extend(fold_record(&mut canvas, written.number, &payload, vetting)?);
-            if canvas.is_full() && !left.as_slice().is_empty() {
+            quarantined.extend(fold_record(&mut buffer, written.number, &payload, vetting)?);
+            if buffer.is_full() && !left.as_slice().is_empty() {
                 up_to = written.number;
                 break;
             }
         }
-        let changed: Vec<_> = canvas.into_changed().collect();
-        sink.keep(changed.into_iter(), &quarantined, up_to)?;
+        let changed: Vec<_> = buffer.into_changed().collect();
+        sink.write(changed.into_iter(), &quarantined, up_to)?;
         if left.as_slice().is_empty() {
             return Ok(());
         }
@@ -117,27 +117,29 @@ pub(super) fn fold_group(
 }
 
 /// The journal without what is excluded.
-pub(super) struct Records<'a> {
+pub(super) struct CountedRecords<'a> {
     pub(super) journal: &'a Journal,
-    pub(super) index: &'a Index,
+    pub(super) index: &'a JournalIndex,
     pub(super) exclusion: &'a Exclusion,
+    /// See [`super::Options::write_buffer_tiles`].
+    pub(super) buffer_tiles: usize,
 }
 
-/// Folds the records after `folded` up to `last`, but for the excluded ones. `told` hears of every step
-/// and ends it all by answering false; the number of the last record folded is returned.
+/// Folds the records after `folded` up to `last`, but for the excluded ones. `report` is called before every step
+/// and ends the replay by returning false; the number of the last record folded is returned.
 pub(super) fn replay(
-    records: &Records<'_>,
+    records: &CountedRecords<'_>,
     sink: &mut impl Sink,
     mut folded: u64,
     last: u64,
     vetting: &mut Vetting,
-    mut told: impl FnMut(u64) -> bool,
+    mut report: impl FnMut(u64) -> bool,
 ) -> Result<u64, Error> {
-    let Records { journal, index, exclusion } = *records;
-    while folded < last && told(folded) {
+    let CountedRecords { journal, index, exclusion, buffer_tiles } = *records;
+    while folded < last && report(folded) {
         let group = index.records(folded, last);
         let Some(newest) = group.last().map(|written| written.number) else { break };
-        fold_group(journal, sink, &index.counted(&group, exclusion), newest, vetting)?;
+        fold_group((journal, buffer_tiles), sink, &index.counted(&group, exclusion), newest, vetting)?;
         folded = newest;
     }
     Ok(folded)

@@ -11,12 +11,12 @@ use echofix_core::geo::TileId;
 use echofix_core::tile;
 use uuid::Uuid;
 
-use super::attempt::caught;
-use super::base::Base;
-use super::canvas::{Folded, Source};
+use super::attempt::{TilesError, caught};
 use super::catalog::Catalog;
-use super::tiles::{Tiles, Value};
-use super::vetting::Quarantined;
+use super::checkpoint::Checkpoint;
+use super::tiles::{TileStore, TileValue};
+use super::vetting::QuarantinedRecord;
+use super::write_buffer::{Folded, Source};
 use super::{Error, io_error};
 
 /// Tiles written at once when many are.
@@ -27,20 +27,20 @@ const REMOVALS: usize = 100;
 /// Tiles on disk and their catalog in memory.
 pub(super) struct Generation {
     pub(super) number: u64,
-    pub(super) tiles: Tiles,
+    pub(super) tiles: TileStore,
     /// See [`super::Policy::publish_contributors`].
     publish: u8,
     catalog: RwLock<Catalog>,
     /// Declared last: goes when sled is closed.
-    dir: Dir,
+    dir: GenerationDir,
 }
 
-struct Dir {
+struct GenerationDir {
     path: PathBuf,
     retired: AtomicBool,
 }
 
-impl Drop for Dir {
+impl Drop for GenerationDir {
     fn drop(&mut self) {
         if !self.retired.load(Ordering::Acquire) {
             return;
@@ -67,8 +67,8 @@ impl Generation {
             }
             _ => {}
         }
-        let tiles = Tiles::open(path, cache_bytes)?;
-        Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: Dir::new(path) })
+        let tiles = TileStore::open(path, cache_bytes)?;
+        Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: GenerationDir::new(path) })
     }
 
     /// Names the journal that all of it was folded from. It is the last that is written of a new generation: one that a
@@ -85,43 +85,47 @@ impl Generation {
         cache_bytes: u64,
         journal: Uuid,
         publish: u8,
-    ) -> Result<(Self, u64), String> {
+    ) -> Result<(Self, u64), TilesError> {
         if !path.exists() {
-            return Err("they are gone".to_owned());
+            return Err(TilesError::Gone);
         }
         let (tiles, of) = caught(|| {
-            let tiles = Tiles::open(path, cache_bytes)?;
+            let tiles = TileStore::open(path, cache_bytes)?;
             let of = tiles.journal()?;
             Ok((tiles, of))
         })?;
         if of != Some(journal) {
-            return Err("they were folded from another journal".to_owned());
+            return Err(TilesError::OtherJournal);
         }
         let (catalog, folded) = caught(|| Ok(tiles.check()))??;
-        Ok((Self { number, tiles, publish, catalog: RwLock::new(catalog), dir: Dir::new(path) }, folded))
+        Ok((
+            Self { number, tiles, publish, catalog: RwLock::new(catalog), dir: GenerationDir::new(path) },
+            folded,
+        ))
     }
 
-    /// Fills an empty generation from a base.
-    pub(super) fn load(&self, base: &Base) -> Result<(), Error> {
+    /// Fills an empty generation from a checkpoint.
+    pub(super) fn load(&self, checkpoint: &Checkpoint) -> Result<(), Error> {
         let mut batch = Vec::with_capacity(BATCH);
-        base.visit(|id, version, encoded| {
-            let damaged = |error| Error::Damaged { what: format!("tile {id} of the base"), reason: error };
+        checkpoint.visit(|id, version, encoded| {
+            let damaged =
+                |error| Error::Damaged { what: format!("tile {id} of the checkpoint"), reason: error };
             let tile = tile::decode(&encoded).map_err(|error| damaged(error.to_string()))?;
             batch.push((id, Folded { version, tile, ..Folded::default() }));
-            if batch.len() == BATCH { self.put(batch.drain(..), &[], base.last) } else { Ok(()) }
+            if batch.len() == BATCH { self.put(batch.drain(..), &[], checkpoint.last) } else { Ok(()) }
         })?;
-        self.put(batch.drain(..), &[], base.last)
+        self.put(batch.drain(..), &[], checkpoint.last)
     }
 
-    /// Puts changed tiles in place, and notes of uploads that were kept out of them; the generation goes up to
+    /// Puts changed tiles in place, and the uploads that were quarantined; the generation goes up to
     /// the record `folded` with them.
     pub(super) fn put(
         &self,
         changed: impl Iterator<Item = (TileId, Folded)>,
-        quarantined: &[Quarantined],
+        quarantined: &[QuarantinedRecord],
         folded: u64,
     ) -> Result<(), Error> {
-        let values: Vec<_> = changed.map(|(id, folded)| Value::new(id, &folded, self.publish)).collect();
+        let values: Vec<_> = changed.map(|(id, folded)| TileValue::new(id, &folded, self.publish)).collect();
         let infos: Vec<_> = values.iter().map(|value| value.info).collect();
         let digest = self.catalog().digest_with(&infos);
         self.tiles.put_all(values, quarantined, folded, digest)?;
@@ -151,8 +155,8 @@ impl Generation {
         Ok(())
     }
 
-    /// Looks again at what is stored, after a failure that left it uncertain. Returns the last record.
-    pub(super) fn look_again(&self) -> Result<u64, String> {
+    /// Reads the catalog again, after a failure that left it uncertain what is stored. Returns the last record.
+    pub(super) fn look_again(&self) -> Result<u64, TilesError> {
         let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
         *self.catalog_mut() = catalog;
         Ok(folded)
@@ -163,7 +167,7 @@ impl Generation {
         self.catalog().all().map(|info| info.id).collect()
     }
 
-    /// Removes the directory once nobody reads it any more.
+    /// Removes the directory once it has no readers any more.
     pub(super) fn retire(&self) {
         self.dir.retired.store(true, Ordering::Release);
     }
@@ -178,7 +182,7 @@ impl Generation {
     }
 }
 
-impl Dir {
+impl GenerationDir {
     fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), retired: AtomicBool::new(false) }
     }
@@ -206,11 +210,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (path, journal) = (dir.path().join("tiles-1"), Uuid::from_u128(5));
         let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
-        generation.load(&Base::default()).unwrap();
+        generation.load(&Checkpoint::default()).unwrap();
         drop(generation);
         assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_err());
         let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
-        generation.load(&Base::default()).unwrap();
+        generation.load(&Checkpoint::default()).unwrap();
         generation.complete(journal).unwrap();
         drop(generation);
         assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_ok());

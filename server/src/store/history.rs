@@ -7,51 +7,51 @@ use echofix_core::tile::{self, Tile};
 use uuid::Uuid;
 
 use super::Error;
-use super::canvas::{Folded, InMemory};
 use super::embedded::EmbeddedStore;
-use super::entry::{Action, Kind};
-use super::fold::{Records, replay};
+use super::entry::{Action, RecordKind};
+use super::fold::{CountedRecords, replay};
 use super::vetting::Vetting;
+use super::write_buffer::{Folded, InMemory};
 
 /// Something that happened to the map, newest epochs first.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Event {
+pub struct HistoryEvent {
     /// The first record of it.
     pub first: u64,
     /// The last record of it: the epoch from which the map shows it.
     pub last: u64,
     /// UTC day it was written on, counted from the Unix epoch.
     pub day: u16,
-    /// What happened.
-    pub what: What,
+    /// Its kind, and what it did.
+    pub what: EventKind,
 }
 
-/// What happened.
+/// What may happen to the map.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum What {
+pub enum EventKind {
     /// Uploads came, one after the other on one day.
     Uploads {
-        /// How many.
+        /// Number of the uploads.
         uploads: u64,
-        /// From how many contributors.
+        /// Number of their contributors.
         contributors: u64,
-        /// How many of them no longer count.
+        /// Number of the uploads that no longer count.
         taken_back: u64,
     },
     /// Tiles of another map's file came.
     Import {
-        /// The file's id.
+        /// Id of the file they came in.
         file: Uuid,
-        /// How many tiles.
+        /// Number of the tiles.
         tiles: u64,
-        /// How many of them no longer count.
+        /// Number of the tiles that no longer count.
         taken_back: u64,
     },
     /// An operator decided.
     Control {
-        /// When, microseconds since the Unix epoch.
+        /// Time of the decision, microseconds since the Unix epoch.
         at_us: i64,
-        /// What was decided.
+        /// The decision.
         decision: Decision,
         /// Uploads and imported tiles it takes back, for itself.
         takes_back: u64,
@@ -61,29 +61,29 @@ pub enum What {
 /// What an operator may decide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decision {
-    /// To take back what a contributor told. Its name is not kept, and its hash stays in the store.
+    /// To take back a contributor's uploads. Its name is not stored, and its hash stays in the store.
     RevokeContributor,
     /// To take back an upload or an imported file.
     RevokeUpload(Uuid),
     /// To take back all after this epoch.
     Rollback(u64),
-    /// To make final all up to this record.
-    Settle(u64),
+    /// To compact all up to this record.
+    Compact(u64),
 }
 
 /// A map of the past.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Snapshot {
-    /// Its epoch.
+    /// Number of the last record in it.
     pub epoch: u64,
-    /// Its tiles.
+    /// All its tiles by their ids, unpublished cells included.
     pub tiles: BTreeMap<TileId, Tile>,
 }
 
 /// How a tile of one map differs from the same of another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TileDiff {
-    /// Which tile.
+    /// The tile that differs.
     pub id: TileId,
     /// Occupied cells that only the later map has.
     pub added: u32,
@@ -94,8 +94,8 @@ pub struct TileDiff {
 }
 
 impl EmbeddedStore {
-    pub(super) fn events(&self, limit: usize) -> Vec<Event> {
-        let _base = self.shared.base();
+    pub(super) fn events(&self, limit: usize) -> Vec<HistoryEvent> {
+        let _base = self.shared.checkpoint();
         let index = &self.shared.index;
         let exclusion = index.exclusion(index.newest_control());
         let controls: BTreeMap<_, _> = index.controls().into_iter().collect();
@@ -105,7 +105,7 @@ impl EmbeddedStore {
         let mut events = runs.events.split_off(skipped);
         for event in &mut events {
             // Only the index knows what a control is about.
-            if let (What::Control { at_us, decision, takes_back }, Some(control)) =
+            if let (EventKind::Control { at_us, decision, takes_back }, Some(control)) =
                 (&mut event.what, controls.get(&event.first))
             {
                 (*at_us, *decision) = (control.at_us, decided(control.action));
@@ -118,13 +118,13 @@ impl EmbeddedStore {
 
     pub(super) fn snapshot(&self, epoch: u64) -> Result<Snapshot, Error> {
         // No record that is read here goes meanwhile.
-        let base = self.shared.base();
+        let checkpoint = self.shared.checkpoint();
         self.in_journal(epoch)?;
         let index = &self.shared.index;
         let mut map = InMemory::new();
-        base.visit(|id, version, encoded| {
+        checkpoint.visit(|id, version, encoded| {
             let damaged = |error: tile::DecodeError| Error::Damaged {
-                what: format!("tile {id} of the base"),
+                what: format!("tile {id} of the checkpoint"),
                 reason: error.to_string(),
             };
             map.insert(
@@ -135,9 +135,14 @@ impl EmbeddedStore {
         })?;
         let exclusion = &index.exclusion(epoch);
         let mut vetting = Vetting::new(self.shared.policy.vetting);
-        let records = Records { journal: &self.shared.journal, index, exclusion };
+        let records = CountedRecords {
+            journal: &self.shared.journal,
+            index,
+            exclusion,
+            buffer_tiles: self.shared.write_buffer_tiles,
+        };
         let go_on = |_| !index.ended();
-        replay(&records, &mut map, base.last, epoch, &mut vetting, go_on)?;
+        replay(&records, &mut map, checkpoint.last, epoch, &mut vetting, go_on)?;
         if index.ended() {
             return Err(Error::Stopped("the store is being closed".to_owned()));
         }
@@ -182,45 +187,51 @@ fn decided(action: Action) -> Decision {
         Action::RevokeContributor(_) => Decision::RevokeContributor,
         Action::RevokeUpload(id) => Decision::RevokeUpload(id),
         Action::Rollback(epoch) => Decision::Rollback(epoch),
-        Action::Settle(last) => Decision::Settle(last),
+        Action::Compact(last) => Decision::Compact(last),
     }
 }
 
 /// Gathers records of one kind that follow each other.
 #[derive(Default)]
 struct Runs {
-    events: Vec<Event>,
+    events: Vec<HistoryEvent>,
     contributors: HashSet<u64>,
 }
 
 impl Runs {
-    fn add(&mut self, number: u64, day: u16, kind: Kind, excluded: bool) {
+    fn add(&mut self, number: u64, day: u16, kind: RecordKind, excluded: bool) {
         let excluded = u64::from(excluded);
         match (self.events.last_mut().filter(|event| event.day == day), kind) {
             (
-                Some(Event { last, what: What::Uploads { uploads, contributors, taken_back }, .. }),
-                Kind::Upload { contributor },
+                Some(HistoryEvent {
+                    last,
+                    what: EventKind::Uploads { uploads, contributors, taken_back },
+                    ..
+                }),
+                RecordKind::Upload { contributor },
             ) => {
                 self.contributors.insert(contributor);
                 *contributors = self.contributors.len() as u64;
                 (*last, *uploads, *taken_back) = (number, *uploads + 1, *taken_back + excluded);
             }
             (
-                Some(Event { last, what: What::Import { file, tiles, taken_back }, .. }),
-                Kind::Import { file: of },
+                Some(HistoryEvent { last, what: EventKind::Import { file, tiles, taken_back }, .. }),
+                RecordKind::Import { file: of },
             ) if *file == of => {
                 (*last, *tiles, *taken_back) = (number, *tiles + 1, *taken_back + excluded);
             }
             (_, kind) => {
                 let what = match kind {
-                    Kind::Upload { contributor } => {
+                    RecordKind::Upload { contributor } => {
                         self.contributors = HashSet::from([contributor]);
-                        What::Uploads { uploads: 1, contributors: 1, taken_back: excluded }
+                        EventKind::Uploads { uploads: 1, contributors: 1, taken_back: excluded }
                     }
-                    Kind::Import { file } => What::Import { file, tiles: 1, taken_back: excluded },
-                    Kind::Control => What::Control { at_us: 0, decision: Decision::Settle(0), takes_back: 0 },
+                    RecordKind::Import { file } => EventKind::Import { file, tiles: 1, taken_back: excluded },
+                    RecordKind::Control => {
+                        EventKind::Control { at_us: 0, decision: Decision::Compact(0), takes_back: 0 }
+                    }
                 };
-                self.events.push(Event { first: number, last: number, day, what });
+                self.events.push(HistoryEvent { first: number, last: number, day, what });
             }
         }
     }
@@ -232,7 +243,7 @@ mod tests {
     use echofix_core::evidence::Cell;
 
     #[test]
-    fn cells_are_told_apart() {
+    fn differing_cells_are_counted() {
         let cell = |hits| Cell { hits, ..Cell::default() };
         let tile = |cells: &[(u32, u32)]| {
             Tile::from_cells(cells.iter().map(|(index, hits)| (*index, cell(*hits))).collect()).unwrap()

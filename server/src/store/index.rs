@@ -1,7 +1,7 @@
 //! Which records the journal holds, where they lie, and what of them counts.
 //!
 //! It stays in memory for as long as the records stay in the journal, since a vehicle may send an upload again: 16
-//! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment share is kept
+//! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment have in common is stored
 //! once for all of them.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -11,9 +11,9 @@ use std::time::Duration;
 use echofix_core::geo::TileId;
 use uuid::Uuid;
 
-use super::entry::{Action, Control, Kind, Note, What};
+use super::entry::{Action, Control, RecordKind, RecordMeta, RecordSubject};
 use super::exclusion::Exclusion;
-use super::journal::{Position, Written};
+use super::journal::{RecordPosition, Written};
 
 /// Bytes of records handed out for folding at a time, but for a single larger one.
 const FOLD_BYTES: u64 = 8 << 20;
@@ -22,14 +22,14 @@ const FOLD_RECORDS: usize = 64;
 
 /// What the journal holds, in memory.
 #[derive(Default)]
-pub(super) struct Index {
-    state: Mutex<State>,
+pub(super) struct JournalIndex {
+    state: Mutex<IndexState>,
     /// A record was written or given up, or the end was called.
     changed: Condvar,
 }
 
 #[derive(Default)]
-struct State {
+struct IndexState {
     /// Number by upload id.
     numbers: HashMap<Uuid, u64>,
     imports: HashMap<(Uuid, TileId), u64>,
@@ -39,8 +39,8 @@ struct State {
     /// Number of the record before the first.
     before: u64,
     /// In order of their numbers, and so are the runs they come in.
-    records: Vec<Noted>,
-    runs: Vec<Run>,
+    records: Vec<IndexEntry>,
+    runs: Vec<DayRun>,
     /// Uploads being written.
     pending: HashSet<Uuid>,
     ended: bool,
@@ -48,7 +48,7 @@ struct State {
 
 /// A record in the journal, without what its run, the controls and the files say of it.
 #[derive(Clone, Copy)]
-struct Noted {
+struct IndexEntry {
     offset: u32,
     length: u32,
     /// Of an upload.
@@ -56,7 +56,7 @@ struct Noted {
 }
 
 /// Records of one segment that were written on one day.
-struct Run {
+struct DayRun {
     /// Number of the first of them.
     first: u64,
     segment: u64,
@@ -66,44 +66,44 @@ struct Run {
 
 /// What folding does next.
 #[derive(Debug)]
-pub(super) enum Next {
+pub(super) enum NextFold {
     /// Fold these.
     Records(Vec<Written>),
     /// A control was written: a new generation is needed.
     Build,
 }
 
-/// Who may write an upload.
-pub(super) enum Claim<'a> {
-    /// Nobody: it is in the journal.
+/// The answer to a request for the right to write an upload.
+pub(super) enum Reserved<'a> {
+    /// It is in the journal already.
     Counted(Written),
-    /// The caller, while it holds this.
-    Ours(Pending<'a>),
+    /// The caller may write it while it holds this.
+    New(Reservation<'a>),
 }
 
 /// The right to write an upload; others with the same id wait for its end.
-pub(super) struct Pending<'a> {
-    index: &'a Index,
+pub(super) struct Reservation<'a> {
+    index: &'a JournalIndex,
     id: Uuid,
 }
 
-impl Drop for Pending<'_> {
+impl Drop for Reservation<'_> {
     fn drop(&mut self) {
         self.index.lock().pending.remove(&self.id);
         self.index.changed.notify_all();
     }
 }
 
-impl Index {
+impl JournalIndex {
     /// Asks for the right to write an upload, waiting while another caller writes the same.
-    pub(super) fn claim(&self, id: Uuid) -> Claim<'_> {
+    pub(super) fn reserve(&self, id: Uuid) -> Reserved<'_> {
         let mut state = self.lock();
         loop {
             if let Some(written) = state.find(id) {
-                return Claim::Counted(written);
+                return Reserved::Counted(written);
             }
             if state.pending.insert(id) {
-                return Claim::Ours(Pending { index: self, id });
+                return Reserved::New(Reservation { index: self, id });
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
@@ -120,12 +120,12 @@ impl Index {
     }
 
     /// Is anything of a kind in the journal after a number?
-    pub(super) fn any_after(&self, number: u64, kind: Kind) -> bool {
+    pub(super) fn any_after(&self, number: u64, kind: RecordKind) -> bool {
         let state = self.lock();
         (number + 1..=state.newest()).any(|at| state.kind(at) == Some(kind))
     }
 
-    /// A journal without records goes on after this number.
+    /// The number before that of the first record of a journal without any.
     pub(super) fn begin_after(&self, number: u64) {
         let mut state = self.lock();
         if state.records.is_empty() {
@@ -134,31 +134,31 @@ impl Index {
     }
 
     /// Notes a record that is in the journal. They come in order of their numbers.
-    pub(super) fn note(&self, note: &Note, written: Written) {
+    pub(super) fn insert(&self, meta: &RecordMeta, written: Written) {
         let mut state = self.lock();
         if state.records.is_empty() {
             state.before = written.number - 1;
         }
         debug_assert_eq!(written.number, state.newest() + 1);
-        let Written { number, at: Position { segment, offset, length } } = written;
-        let mut noted = Noted { offset, length, contributor: 0 };
-        match note.what {
-            What::Upload { id, contributor } => {
+        let Written { number, at: RecordPosition { segment, offset, length } } = written;
+        let mut entry = IndexEntry { offset, length, contributor: 0 };
+        match meta.what {
+            RecordSubject::Upload { id, contributor } => {
                 state.numbers.insert(id, number);
-                noted.contributor = contributor;
+                entry.contributor = contributor;
             }
-            What::Import { file, tile } => {
+            RecordSubject::Import { file, tile } => {
                 state.imports.insert((file, tile), number);
                 state.files.insert(number, file);
             }
-            What::Control(control) => {
+            RecordSubject::Control(control) => {
                 state.controls.insert(number, control);
             }
         }
-        if state.runs.last().is_none_or(|run| (run.segment, run.day) != (segment, note.day)) {
-            state.runs.push(Run { first: number, segment, day: note.day });
+        if state.runs.last().is_none_or(|run| (run.segment, run.day) != (segment, meta.day)) {
+            state.runs.push(DayRun { first: number, segment, day: meta.day });
         }
-        state.records.push(noted);
+        state.records.push(entry);
         self.changed.notify_all();
     }
 
@@ -168,7 +168,7 @@ impl Index {
     }
 
     /// Where the newest record lies.
-    pub(super) fn newest_at(&self) -> Option<Position> {
+    pub(super) fn newest_at(&self) -> Option<RecordPosition> {
         let state = self.lock();
         state.at(state.newest())
     }
@@ -208,24 +208,24 @@ impl Index {
         self.lock().controls.iter().map(|(number, control)| (*number, *control)).collect()
     }
 
-    /// Controls that settle more than the ones before them and the base did: their numbers and the
-    /// last record each of them settles.
-    pub(super) fn settles_beyond(&self, mut base: u64) -> Vec<(u64, u64)> {
-        let mut settles = Vec::new();
+    /// Controls that compact more than the ones before them and the checkpoint did: their numbers and the
+    /// last record each of them compacts.
+    pub(super) fn compactions_beyond(&self, mut checkpoint: u64) -> Vec<(u64, u64)> {
+        let mut compactions = Vec::new();
         for (number, control) in self.controls() {
-            if let Action::Settle(last) = control.action
-                && last > base
+            if let Action::Compact(last) = control.action
+                && last > checkpoint
             {
-                settles.push((number, last));
-                base = last;
+                compactions.push((number, last));
+                checkpoint = last;
             }
         }
-        settles
+        compactions
     }
 
-    /// The last record that is settled or about to be; 0 for none.
-    pub(super) fn settled(&self) -> u64 {
-        self.settles_beyond(0).last().map_or(0, |(_, last)| *last)
+    /// The last record that is compacted or about to be; 0 for none.
+    pub(super) fn compacted(&self) -> u64 {
+        self.compactions_beyond(0).last().map_or(0, |(_, last)| *last)
     }
 
     /// What the controls up to this one, with it, exclude.
@@ -250,7 +250,7 @@ impl Index {
     /// with it: the segments up to it can go. `None` when there is no such record.
     pub(super) fn last_before(&self, day: u16) -> Option<u64> {
         let state = self.lock();
-        // A clock that was set back leaves days of no order: the cut is made before the first young segment, which
+        // A clock that was set back leaves days of no order: the cut is made before the first segment of that day or a later one, which
         // is named by its first record.
         let young = state.runs.iter().find(|run| run.day >= day);
         let last = young.map_or(state.newest(), |run| run.segment - 1);
@@ -274,33 +274,33 @@ impl Index {
 
     /// What folding does next after a record, under the controls up to one; waits until there is
     /// something to do. `None` at the end.
-    pub(super) fn next(&self, folded: u64, applied: u64) -> Option<Next> {
+    pub(super) fn next(&self, folded: u64, applied: u64) -> Option<NextFold> {
         let mut state = self.lock();
         loop {
             if state.ended {
                 return None;
             }
             if state.controls.range(applied + 1..).next().is_some() {
-                return Some(Next::Build);
+                return Some(NextFold::Build);
             }
             if state.newest() > folded {
                 let last = state.newest();
-                return Some(Next::Records(state.group(folded, last)));
+                return Some(NextFold::Records(state.group(folded, last)));
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
     /// Visits the records, oldest first: their numbers, days and kinds.
-    pub(super) fn visit(&self, mut each: impl FnMut(u64, u16, Kind)) {
+    pub(super) fn visit(&self, mut each: impl FnMut(u64, u16, RecordKind)) {
         let state = self.lock();
         for (number, kind) in state.kinds() {
             each(number, state.run(number).day, kind);
         }
     }
 
-    /// Forgets the records up to this one: they are in the base, and their segments go.
-    pub(super) fn forget_up_to(&self, last: u64) {
+    /// Forgets the records up to this one: they are in the checkpoint, and their segments go.
+    pub(super) fn truncate(&self, last: u64) {
         let mut state = self.lock();
         let gone = last.saturating_sub(state.before).min(state.records.len() as u64);
         state.before += gone;
@@ -330,19 +330,19 @@ impl Index {
         self.lock().ended
     }
 
-    /// Wakes whoever waits in [`Index::next`] for the last time.
+    /// Wakes the threads that wait in [`JournalIndex::next`] for the last time.
     pub(super) fn end(&self) {
         self.lock().ended = true;
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, IndexState> {
         // Every change is made in one step: a panic elsewhere leaves the state whole.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
+impl IndexState {
     fn newest(&self) -> u64 {
         self.before + self.records.len() as u64
     }
@@ -352,30 +352,30 @@ impl State {
         Some(Written { number, at: self.at(number)? })
     }
 
-    fn get(&self, number: u64) -> Option<&Noted> {
+    fn get(&self, number: u64) -> Option<&IndexEntry> {
         self.records.get(number.checked_sub(self.before + 1)? as usize)
     }
 
-    fn at(&self, number: u64) -> Option<Position> {
-        let Noted { offset, length, .. } = *self.get(number)?;
-        Some(Position { segment: self.run(number).segment, offset, length })
+    fn at(&self, number: u64) -> Option<RecordPosition> {
+        let IndexEntry { offset, length, .. } = *self.get(number)?;
+        Some(RecordPosition { segment: self.run(number).segment, offset, length })
     }
 
-    fn kind(&self, number: u64) -> Option<Kind> {
+    fn kind(&self, number: u64) -> Option<RecordKind> {
         let contributor = self.get(number)?.contributor;
         if self.controls.contains_key(&number) {
-            return Some(Kind::Control);
+            return Some(RecordKind::Control);
         }
-        let import = self.files.get(&number).map(|file| Kind::Import { file: *file });
-        import.or(Some(Kind::Upload { contributor }))
+        let import = self.files.get(&number).map(|file| RecordKind::Import { file: *file });
+        import.or(Some(RecordKind::Upload { contributor }))
     }
 
-    fn kinds(&self) -> impl Iterator<Item = (u64, Kind)> {
+    fn kinds(&self) -> impl Iterator<Item = (u64, RecordKind)> {
         (self.before + 1..).map_while(|number| Some((number, self.kind(number)?)))
     }
 
     /// The run of a record that was noted.
-    fn run(&self, number: u64) -> &Run {
+    fn run(&self, number: u64) -> &DayRun {
         &self.runs[self.runs.partition_point(|run| run.first <= number) - 1]
     }
 

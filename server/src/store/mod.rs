@@ -1,35 +1,36 @@
 //! The map and the journal it is folded from.
 //!
-//! An upload is acknowledged once its contribution is in the journal and synced. Tiles are folded
-//! from the journal in its order, and can be folded again from nothing. The embedded default keeps
+//! An upload is acknowledged once its record is in the journal and synced. Tiles are folded
+//! from the journal in its order, and can be folded again from nothing. The embedded default has
 //! the journal in checksummed segment files and the tiles in sled.
 //!
 //! - [`MapStore`]: what every storage engine offers, and its values.
 //! - [`Operations`]: what operators may do with the map: its history, revocations, rollbacks.
 //! - [`EmbeddedStore`]: the engine of one machine. Its parts, from the disk upwards: `data_dir` (layout,
-//!   lock, key), `options`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
-//!   `exclusion` (which of them count), `base` (what stands for settled records), `key`, `pieces` and `tiles` (sled),
-//!   `generation` and `catalog`, `canvas` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
-//!   `manifest` (which one is served), `folder` (the thread that does it), `history` (the map's past),
+//!   lock, key), `options` and `clock`, `checksum`, `journal`, `entry` and `record` (a record's bytes), `index` (which records there are),
+//!   `exclusion` (which of them count), `checkpoint` (what stands for compacted records), `key`, `pieces` and `tiles` (sled),
+//!   `generation` and `catalog`, `write_buffer` and `vetting` and `fold` (records to tiles), `quarantine`, `build` (new generations),
+//!   `manifest` (which one is served), `fold_worker` (the thread that does it), `history` (the map's past),
 //!   `region` (export and import), `backup`, `verify`.
 //!
-//! Every state of the map is a function of the base and the journal's records up to the epoch, without what
-//! the controls among them exclude. Generations of tiles are that function's values, kept.
+//! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
+//! the controls among them exclude. Generations of tiles are that function's values, stored.
 
 mod attempt;
 mod backup;
-mod base;
 mod build;
-mod canvas;
 mod catalog;
+mod checkpoint;
+mod checksum;
 mod clock;
+mod context;
 mod data_dir;
 mod embedded;
 mod entry;
 mod exclusion;
 mod faults;
 mod fold;
-mod folder;
+mod fold_worker;
 mod generation;
 mod history;
 mod index;
@@ -43,7 +44,6 @@ mod policy;
 mod quarantine;
 mod record;
 mod region;
-mod shared;
 mod stream;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -52,15 +52,17 @@ mod tests;
 mod tiles;
 mod verify;
 mod vetting;
+mod write_buffer;
 
+pub use clock::StoreClock;
 pub use embedded::EmbeddedStore;
-pub use history::{Decision, Event, Snapshot, TileDiff, What};
+pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use operations::Operations;
 pub use options::Options;
 pub use policy::Policy;
 pub use region::{Imported, Region};
 pub use verify::Verified;
-pub use vetting::Quarantined;
+pub use vetting::QuarantinedRecord;
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -77,9 +79,9 @@ pub enum Error {
     /// The disk refused.
     #[error("{doing}: {source}")]
     Io {
-        /// What was being done.
+        /// The step that failed, as a phrase: "writing the journal".
         doing: &'static str,
-        /// The system's words.
+        /// What the operating system reported.
         source: std::io::Error,
     },
     /// The tile store refused.
@@ -88,7 +90,7 @@ pub enum Error {
     /// Stored bytes do not pass their checks.
     #[error("{what} is damaged: {reason}")]
     Damaged {
-        /// Which record or tile.
+        /// The record, tile or file.
         what: String,
         /// What is wrong with it.
         reason: String,
@@ -115,17 +117,17 @@ pub enum Error {
     Stopped(String),
 }
 
-/// An upload as the journal keeps it.
+/// An upload as a record of the journal.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Upload {
-    /// Named by the contributor; counts once.
+pub struct UploadRecord {
+    /// Chosen by the contributor; an upload counts once by it.
     pub id: Uuid,
-    /// Who and when.
+    /// The contributor's hash and the day of the drive.
     pub pass: Pass,
     /// Uploads of days before this one are no longer taken, so the votes of their passes may be
-    /// forgotten; 0 forgets none. Kept with the upload, so that folding it again gives the same.
+    /// forgotten; 0 forgets none. It is in the record, so that folding it again gives the same.
     pub forget_before: u16,
-    /// What it tells the map. Near a zone border it holds the tiles of both zones.
+    /// Its evidence delta. Near a zone border it holds the tiles of both zones.
     pub contribution: EvidenceDelta,
     /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
     pub answer: Vec<u8>,
@@ -143,7 +145,7 @@ pub enum Receipt {
     Duplicate {
         /// The map shows it from this epoch on.
         epoch: u64,
-        /// The answer given then.
+        /// The answer that was given when it was counted, an encoded `UploadResponse`.
         answer: Vec<u8>,
     },
 }
@@ -154,7 +156,7 @@ pub struct StoredTile {
     /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
     /// served of it fades as the map's newest day moves on.
     pub version: u64,
-    /// Its evidence.
+    /// The evidence that is published of it.
     pub tile: Arc<Tile>,
 }
 
@@ -169,7 +171,7 @@ impl StoredTile {
 /// What the catalog says about a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TileInfo {
-    /// Which tile.
+    /// Its id.
     pub id: TileId,
     /// Epoch of its last change.
     pub version: u64,
@@ -177,20 +179,20 @@ pub struct TileInfo {
     pub cells: u32,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
-    /// Encoded size.
+    /// Bytes of the encoded tile.
     pub bytes: u32,
 }
 
 /// The whole map in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
-    /// Tiles.
+    /// Tiles that hold any evidence.
     pub tiles: u64,
     /// Occupied cells.
     pub cells: u64,
     /// Bytes of encoded tiles.
     pub bytes: u64,
-    /// Uploads counted since the journal began, settled and revoked ones too.
+    /// Uploads counted since the journal began, compacted and revoked ones too.
     pub uploads: u64,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
@@ -198,7 +200,7 @@ pub struct Totals {
 
 /// Can the map be read?
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum State {
+pub enum MapStatus {
     /// Not yet: it does not show all uploads that were counted before the start.
     #[default]
     Rebuilding,
@@ -210,9 +212,9 @@ pub enum State {
 
 /// How far the journal reaches and how far it is folded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Progress {
+pub struct MapProgress {
     /// Can the map be read?
-    pub state: State,
+    pub state: MapStatus,
     /// Epoch of the map that is served: the number of the last record folded into it.
     pub epoch: u64,
     /// Number of the last record in the journal.
@@ -244,12 +246,12 @@ pub trait MapStore: Send + Sync {
     /// Keyed hash of a contributor's pseudonym; the key never leaves the store.
     fn contributor(&self, pseudonym: &str) -> u64;
 
-    /// Tells this history of the map from others that may give its versions to other tiles: drawn anew where a
-    /// backup is restored, and where the manifest was deleted for the map to go on in another way.
+    /// Distinguishes this history of the map from others that may give its versions to other tiles: drawn anew where a
+    /// backup is restored, and where the manifest was deleted to continue the map without lost records.
     fn lineage(&self) -> u64;
 
-    /// A version as callers are told it: equal ones stand for equal evidence, of whichever lineage they are.
-    fn told(&self, version: u64) -> u64 {
+    /// The wire version: equal ones stand for equal evidence, of whichever lineage they are.
+    fn wire_version(&self, version: u64) -> u64 {
         self.lineage().wrapping_add(version)
     }
 
@@ -258,7 +260,7 @@ pub trait MapStore: Send + Sync {
     ///
     /// # Errors
     /// When it is not certain that the upload is on disk; it must not be acknowledged then.
-    fn commit(&self, upload: Upload) -> Result<Receipt, Error>;
+    fn commit(&self, upload: UploadRecord) -> Result<Receipt, Error>;
 
     /// What was answered to an upload id that was counted before.
     ///
@@ -290,5 +292,5 @@ pub trait MapStore: Send + Sync {
     fn totals(&self) -> Totals;
 
     /// Follows how far the journal reaches and how far it is folded.
-    fn progress(&self) -> watch::Receiver<Progress>;
+    fn progress(&self) -> watch::Receiver<MapProgress>;
 }

@@ -4,16 +4,16 @@ use std::io::{Read, Write};
 
 use uuid::Uuid;
 
-use super::{Error, Event, Imported, Quarantined, Region, Snapshot, TileDiff, Verified};
+use super::{Error, HistoryEvent, Imported, QuarantinedRecord, Region, Snapshot, TileDiff, Verified};
 
 /// Decisions about the map's history. Each is a record of the journal: synced when the call returns its
 /// number. The map shows it from that epoch on, see [`super::MapStore::progress`]; until then it is served
 /// as it was. Every call may block on the disk.
 pub trait Operations: Send + Sync {
-    /// Takes back all a contributor has told so far. What it sends from now on counts.
+    /// Takes back all that a contributor has uploaded so far. What it uploads from now on counts.
     ///
     /// # Errors
-    /// When it told nothing that can be taken back, or the journal cannot be written.
+    /// When it uploaded nothing that can be taken back, or the journal cannot be written.
     fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error>;
 
     /// Takes back an upload, or all tiles of an imported file.
@@ -28,27 +28,27 @@ pub trait Operations: Send + Sync {
     /// When the epoch is not in the journal, or the journal cannot be written.
     fn rollback(&self, epoch: u64) -> Result<u64, Error>;
 
-    /// Makes final what was written before a UTC day, counted from the Unix epoch: it can no longer be
-    /// taken back, and nothing remembers who told it. `None` when there is nothing to settle.
+    /// Compacts what was written before a UTC day, counted from the Unix epoch: it can no longer be
+    /// taken back, and nothing remembers who contributed it. `None` when there is nothing to compact.
     ///
     /// # Errors
     /// When the journal cannot be written.
-    fn settle(&self, before_day: u16) -> Result<Option<u64>, Error>;
+    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error>;
 
-    /// The uploads that vetting kept out of the map, oldest first; those that were settled are forgotten.
+    /// The uploads that vetting kept out of the map, oldest first; those that were compacted are forgotten.
     ///
     /// # Errors
     /// When the map is being rebuilt, or the disk refuses.
-    fn quarantined(&self) -> Result<Vec<Quarantined>, Error>;
+    fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error>;
 
-    /// What happened to the map, newest first: uploads by runs, controls one by one. What was settled is
-    /// not told any more.
-    fn history(&self, limit: usize) -> Vec<Event>;
+    /// What happened to the map, newest first: uploads by runs, controls one by one. What was compacted is
+    /// not listed any more.
+    fn history(&self, limit: usize) -> Vec<HistoryEvent>;
 
     /// The map as of an epoch, folded from the journal into memory.
     ///
     /// # Errors
-    /// When the epoch is before what was settled, or after the newest, or the disk refuses.
+    /// When the epoch is before what was compacted, or after the newest, or the disk refuses.
     fn at(&self, epoch: u64) -> Result<Snapshot, Error>;
 
     /// How the map of epoch `to` differs from that of `from`.
@@ -73,14 +73,14 @@ pub trait Operations: Send + Sync {
     /// When the file is not whole and sound, nothing of it counts then; or the journal cannot be written.
     fn import(&self, file: &mut dyn Read) -> Result<Imported, Error>;
 
-    /// Writes a consistent copy of the store as a tar archive while it goes on; returns the bytes of its
+    /// Writes a backup: a consistent copy of the store as a tar archive, made while it is in use; returns the bytes of its
     /// files. It holds the key that contributors are hashed with: keep it as secret as the store itself.
     ///
     /// # Errors
     /// When the disk refuses, or `out` does.
     fn backup(&self, out: &mut dyn Write) -> Result<u64, Error>;
 
-    /// Reads all of the journal, the base and the tiles; with `replay`, also folds the journal again and
+    /// Reads all of the journal, the checkpoint and the tiles; with `replay`, also folds the journal again and
     /// compares.
     ///
     /// # Errors

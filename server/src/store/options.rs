@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::Policy;
+use super::{Policy, StoreClock};
 
-/// Where and how an [`super::EmbeddedStore`] keeps its data.
+/// Where and how an [`super::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The data directory; made if missing.
@@ -13,7 +13,27 @@ pub struct Options {
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
-    /// What counts and what is served. Under another policy than before the map is folded
-    /// anew, and of a new lineage.
+    /// Tiles in memory from which on they are written to the tile store before more is folded.
+    pub write_buffer_tiles: usize,
+    /// Which evidence counts, and what of it is published. Under another policy than before the map is folded
+    /// anew, under a new lineage.
     pub policy: Policy,
+    /// What day it is.
+    pub clock: StoreClock,
+}
+
+impl Options {
+    /// The usual sizes: a cache of 256 MiB, segments of 64 MiB, and 2048 tiles, which are some hundred megabytes with
+    /// what one more upload may add.
+    #[must_use]
+    pub fn new(data_dir: PathBuf, policy: Policy) -> Self {
+        Self {
+            data_dir,
+            cache_bytes: 256 << 20,
+            segment_bytes: 64 << 20,
+            write_buffer_tiles: 2048,
+            policy,
+            clock: StoreClock::default(),
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! Values of any length, cut into pieces that sled keeps well: whole ones take several times their size on disk. With
+//! Values of any length, cut into pieces that suit sled: whole ones take several times their size on disk. With
 //! pieces, in its mode for low space, it settles below three times the encoded tiles and some megabytes more
 //! ("What a map costs" in `BENCHMARKS.md`).
 //!
@@ -22,7 +22,7 @@ use super::key::{KEY, id, key};
 const PIECE: usize = 16_000;
 /// Bytes of a piece's key.
 const PIECE_KEY: usize = KEY + 4;
-/// How sled keeps them: in segments so small that a small map takes little, rewritten when they hold little.
+/// How sled stores them: in segments so small that a small map takes little, rewritten when they hold little.
 pub(super) fn config(dir: &Path, cache_bytes: u64) -> sled::Config {
     const SEGMENT_BYTES: usize = 256 << 10;
     let config = sled::Config::new().path(dir).mode(sled::Mode::LowSpace);

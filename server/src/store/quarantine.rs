@@ -1,4 +1,4 @@
-//! Notes of uploads that were kept out of the map, beside the tiles.
+//! The quarantine: uploads that vetting kept out of the map, stored beside the tiles.
 //!
 //! ```text
 //! key    "quarantined" | number of the record (8), big-endian
@@ -10,9 +10,10 @@ use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
 use echofix_core::varint::{VarintReader, VarintWriter};
 use echofix_core::vetting::Reason;
-use echofix_core::vetting::alarm::Quarantined as Entry;
+use echofix_core::vetting::alarm::Quarantined as QuarantinedUpload;
 
-use super::vetting::Quarantined;
+use super::checksum::{SUM, seal, sealed};
+use super::vetting::QuarantinedRecord;
 
 /// How the keys begin: longer than a tile's.
 pub(super) const PREFIX: &[u8] = b"quarantined";
@@ -25,9 +26,9 @@ pub(super) fn key(number: u64) -> Vec<u8> {
     [PREFIX, &number.to_be_bytes()].concat()
 }
 
-pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
-    let Quarantined { number, reason, upload } = quarantined;
-    let mut out = VarintWriter::default();
+pub(super) fn encode(quarantined: &QuarantinedRecord) -> Vec<u8> {
+    let QuarantinedRecord { number, reason, upload } = quarantined;
+    let mut out = VarintWriter { bytes: vec![0; SUM] };
     out.put(u64::from(upload.zone.epsg()));
     for metres in upload.place {
         out.put_signed((metres * 1e3).round() as i64);
@@ -44,16 +45,13 @@ pub(super) fn encode(quarantined: &Quarantined) -> Vec<u8> {
         out.put_signed(part.into());
     }
     out.bytes.extend_from_slice(&upload.contributor.to_le_bytes());
-    [&checksum(&key(*number), &out.bytes)[..], &out.bytes].concat()
+    seal(&mut out.bytes, &key(*number));
+    out.bytes
 }
 
-pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
+pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<QuarantinedRecord> {
     let number = u64::from_be_bytes(key.strip_prefix(PREFIX)?.try_into().ok()?);
-    let (sum, rest) = value.split_at_checked(4)?;
-    if checksum(key, rest) != sum {
-        return None;
-    }
-    let mut input = VarintReader { rest };
+    let mut input = VarintReader { rest: sealed(value, key)? };
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
     let place = [metres()?, metres()?];
@@ -68,12 +66,8 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<Quarantined> {
     let offset =
         Offset { east_mm: input.get_signed()?, north_mm: input.get_signed()?, yaw_urad: input.get_signed()? };
     let contributor = u64::from_le_bytes(input.rest.try_into().ok()?);
-    let upload = Entry { zone, place, offset: known.then_some(offset), contributor, day };
-    Some(Quarantined { number, reason, upload })
-}
-
-fn checksum(key: &[u8], rest: &[u8]) -> [u8; 4] {
-    crc32c::crc32c_append(crc32c::crc32c(key), rest).to_le_bytes()
+    let upload = QuarantinedUpload { zone, place, offset: known.then_some(offset), contributor, day };
+    Some(QuarantinedRecord { number, reason, upload })
 }
 
 #[cfg(test)]
@@ -92,11 +86,11 @@ mod tests {
             let place = place.map(|m| (m * 1e3).round() * 1e-3);
             let zone = Zone::from_epsg(32614).unwrap();
             let reason = [Reason::Shifted, Reason::Rotated, Reason::Disagrees][reason];
-            let note = Quarantined { number, reason, upload: Entry { zone, place, offset, contributor, day } };
+            let note = QuarantinedRecord { number, reason, upload: QuarantinedUpload { zone, place, offset, contributor, day } };
             let (key, mut value) = (key(number), encode(&note));
             let back = decode(&key, &value).unwrap();
             prop_assert!(back.upload.place.iter().zip(place).all(|(a, b)| (a - b).abs() < 1e-6));
-            prop_assert_eq!(Quarantined { upload: Entry { place, ..back.upload }, ..back }, note);
+            prop_assert_eq!(QuarantinedRecord { upload: QuarantinedUpload { place, ..back.upload }, ..back }, note);
             let at = at.index(value.len());
             value[at] ^= 1 << bit;
             prop_assert_eq!(decode(&key, &value), None);

@@ -7,8 +7,8 @@
 //! The head holds LEB128 varints: day, forget-before day, the answer (length, bytes). The contribution is
 //! [`echofix_core::evidence::codec`]'s.
 //! A contributor is in here as a keyed hash only, and no column says when within the day, or on
-//! which way, anything was seen. The upload's id and the answer are kept as they were sent: an id
-//! with a timestamp, such as a UUID of version 7, tells when it was made. A vehicle that does not want
+//! which way, anything was seen. The upload's id and the answer are stored as they were sent: an id
+//! with a timestamp, such as a UUID of version 7, says when it was made. A vehicle that does not want
 //! that known uses ids without one.
 
 use echofix_core::evidence::{EvidenceDelta, Pass, codec};
@@ -16,14 +16,14 @@ use echofix_core::geo::TileId;
 use echofix_core::varint::{VarintReader, VarintWriter};
 use uuid::Uuid;
 
-use super::Upload;
+use super::UploadRecord;
 
 const VERSION: u8 = 2;
 /// No upload the service accepts comes near this many bytes of cells.
 const MAX_DECODED: usize = 256 << 20;
 
 /// The bytes of an upload.
-pub(super) fn encode(upload: &Upload) -> Vec<u8> {
+pub(super) fn encode(upload: &UploadRecord) -> Vec<u8> {
     let mut out = VarintWriter::default();
     out.bytes.push(VERSION);
     out.bytes.extend_from_slice(upload.id.as_bytes());
@@ -37,7 +37,7 @@ pub(super) fn encode(upload: &Upload) -> Vec<u8> {
 
 /// What the journal's index needs of a record, without its cells.
 #[derive(Debug, PartialEq)]
-pub(super) struct Head {
+pub(super) struct UploadHead {
     pub(super) id: Uuid,
     pub(super) pass: Pass,
     pub(super) forget_before: u16,
@@ -47,22 +47,22 @@ pub(super) struct Head {
 }
 
 /// The head of an upload's bytes; `None` when they do not follow the format.
-pub(super) fn decode_head(bytes: &[u8]) -> Option<Head> {
+pub(super) fn decode_head(bytes: &[u8]) -> Option<UploadHead> {
     let mut input = VarintReader { rest: bytes };
-    let Upload { id, pass, forget_before, answer, .. } = bare(&mut input)?;
+    let UploadRecord { id, pass, forget_before, answer, .. } = bare(&mut input)?;
     let tiles = codec::decode_header(input.rest).ok()?.tiles;
-    Some(Head { id, pass, forget_before, answer, tiles })
+    Some(UploadHead { id, pass, forget_before, answer, tiles })
 }
 
 /// The upload of its bytes; `None` when they do not follow the format.
-pub(super) fn decode(bytes: &[u8]) -> Option<Upload> {
+pub(super) fn decode(bytes: &[u8]) -> Option<UploadRecord> {
     let mut input = VarintReader { rest: bytes };
     let upload = bare(&mut input)?;
-    Some(Upload { contribution: codec::decode(input.rest, MAX_DECODED).ok()?, ..upload })
+    Some(UploadRecord { contribution: codec::decode(input.rest, MAX_DECODED).ok()?, ..upload })
 }
 
 /// The upload without its contribution, which is what is left of the input.
-fn bare(input: &mut VarintReader<'_>) -> Option<Upload> {
+fn bare(input: &mut VarintReader<'_>) -> Option<UploadRecord> {
     if input.take(1)? != [VERSION] {
         return None;
     }
@@ -71,7 +71,7 @@ fn bare(input: &mut VarintReader<'_>) -> Option<Upload> {
     let pass = Pass { day: input.get()?, contributor };
     let forget_before = input.get()?;
     let answer = input.bytes()?.to_vec();
-    Some(Upload { id, pass, forget_before, contribution: EvidenceDelta::default(), answer })
+    Some(UploadRecord { id, pass, forget_before, contribution: EvidenceDelta::default(), answer })
 }
 
 #[cfg(test)]
@@ -96,7 +96,7 @@ mod tests {
             let at = at.index(bytes.len());
             prop_assert_eq!(decode(&bytes[..at]), None);
             bytes[at] ^= flip;
-            // The journal's checksum tells; here it must only not panic or allocate without bound.
+            // The journal's checksum catches it; here it must only not panic or allocate without bound.
             let _ = decode(&bytes);
         }
     }

@@ -15,8 +15,8 @@ use echofix_core::tile;
 use uuid::Uuid;
 
 use super::embedded::EmbeddedStore;
-use super::stream::{In, Out, bad};
-use super::{Error, clock, entry, io_error};
+use super::stream::{ChecksummedReader, ChecksummedWriter, bad};
+use super::{Error, entry, io_error};
 
 const MAGIC: [u8; 4] = *b"EFX\x01";
 /// Tiles that go to the journal together.
@@ -27,7 +27,7 @@ const GROUP: usize = 64;
 pub struct Region {
     /// Its limits as they were asked for: west, south, east, north, degrees.
     pub bounds_deg: [f64; 4],
-    /// Its tiles.
+    /// The tiles that touch it, by their ids.
     pub tiles: Vec<TileId>,
 }
 
@@ -56,7 +56,7 @@ impl EmbeddedStore {
         let mut tiles = region.tiles.clone();
         tiles.retain(|id| generation.catalog().get(*id).is_some());
         let written = |outcome: io::Result<()>| outcome.map_err(io_error("writing a region"));
-        let mut out = Out::new(out);
+        let mut out = ChecksummedWriter::new(out);
         written(out.put(&MAGIC))?;
         written(out.put(Uuid::now_v7().as_bytes()))?;
         for degrees in region.bounds_deg {
@@ -74,9 +74,9 @@ impl EmbeddedStore {
     }
 
     pub(super) fn import_region(&self, file: &mut dyn Read) -> Result<Imported, Error> {
-        let kept = Kept::of(self.shared.dir.root(), file)?;
+        let received = ReceivedFile::of(self.shared.dir.root(), file)?;
         // All of it is checked before any of it counts.
-        let header = read(&kept.0, |_, _, _| Ok(()))?;
+        let header = read(&received.0, |_, _, _| Ok(()))?;
         let _deciding = self.shared.decide();
         let (mut group, mut known) = (Vec::with_capacity(GROUP), 0);
         let mut epoch = self.shared.index.newest();
@@ -86,12 +86,12 @@ impl EmbeddedStore {
             epoch = written.last().map_or(epoch, |written| written.number);
             Ok::<_, Error>(())
         };
-        read(&kept.0, |file, id, encoded| {
+        read(&received.0, |file, id, encoded| {
             if self.shared.index.imported(file, id) {
                 known += 1;
                 return Ok(());
             }
-            group.push(entry::import(clock::today(), file, id, &encoded));
+            group.push(entry::import(self.shared.clock.today(), file, id, &encoded));
             if group.len() == GROUP { write(&mut group) } else { Ok(()) }
         })?;
         write(&mut group)?;
@@ -100,22 +100,22 @@ impl EmbeddedStore {
 }
 
 /// A file that is read twice; removed when dropped, and at the next start.
-struct Kept(PathBuf);
+struct ReceivedFile(PathBuf);
 
-impl Kept {
+impl ReceivedFile {
     fn of(root: &Path, file: &mut dyn Read) -> Result<Self, Error> {
-        let kept = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
-        let mut keep = || {
-            let mut out = BufWriter::new(File::create(&kept.0)?);
+        let received = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
+        let mut receive = || {
+            let mut out = BufWriter::new(File::create(&received.0)?);
             io::copy(file, &mut out)?;
             out.flush()
         };
-        keep().map_err(io_error("receiving a region"))?;
-        Ok(kept)
+        receive().map_err(io_error("receiving a region"))?;
+        Ok(received)
     }
 }
 
-impl Drop for Kept {
+impl Drop for ReceivedFile {
     fn drop(&mut self) {
         // What is left is removed at the next start.
         let _ = std::fs::remove_file(&self.0);
@@ -131,7 +131,7 @@ fn read(
         io::ErrorKind::UnexpectedEof => Error::Unusable("the file of the region ends too early".to_owned()),
         _ => io_error("reading a region")(error),
     };
-    let mut input = In::new(BufReader::new(File::open(path).map_err(failed)?));
+    let mut input = ChecksummedReader::new(BufReader::new(File::open(path).map_err(failed)?));
     if input.array().map_err(failed)? != MAGIC {
         return Err(failed(bad("it does not begin as one")));
     }

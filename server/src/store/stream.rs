@@ -1,4 +1,4 @@
-//! Checksummed streams of tiles: what a base and a region's file are made of.
+//! Checksummed streams of tiles: what a checkpoint and a region's file are made of.
 //!
 //! ```text
 //! tile     EPSG code (4) | x (4) | y (4) | version (8) | length (4) | encoded tile
@@ -15,12 +15,12 @@ use echofix_core::geo::{TileId, Zone};
 const MAX_TILE: u32 = 256 << 20;
 
 /// A stream being written.
-pub(super) struct Out<W> {
+pub(super) struct ChecksummedWriter<W> {
     inner: W,
     sum: u32,
 }
 
-impl<W: Write> Out<W> {
+impl<W: Write> ChecksummedWriter<W> {
     pub(super) fn new(inner: W) -> Self {
         Self { inner, sum: 0 }
     }
@@ -46,13 +46,13 @@ impl<W: Write> Out<W> {
     }
 }
 
-/// A stream being read. Nothing of it may be used before [`In::end`] agreed.
-pub(super) struct In<R> {
+/// A stream being read. Nothing of it may be used before [`ChecksummedReader::end`] agreed.
+pub(super) struct ChecksummedReader<R> {
     inner: R,
     sum: u32,
 }
 
-impl<R: Read> In<R> {
+impl<R: Read> ChecksummedReader<R> {
     pub(super) fn new(inner: R) -> Self {
         Self { inner, sum: 0 }
     }
@@ -89,8 +89,8 @@ impl<R: Read> In<R> {
     /// Checks the trailer, and that nothing follows.
     pub(super) fn end(mut self) -> io::Result<()> {
         let sum = self.sum;
-        let told = u32::from_le_bytes(self.array()?);
-        if sum != told {
+        let expected = u32::from_le_bytes(self.array()?);
+        if sum != expected {
             return Err(bad("its checksum does not match"));
         }
         match self.inner.read(&mut [0])? {

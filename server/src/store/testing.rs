@@ -5,10 +5,10 @@ use echofix_core::geo::{TileId, Zone};
 use proptest::prelude::*;
 use uuid::Uuid;
 
-use super::Upload;
+use super::UploadRecord;
 
 /// Uploads of few contributors to few tiles, so that they meet.
-pub(crate) fn uploads() -> impl Strategy<Value = Upload> {
+pub(crate) fn uploads() -> impl Strategy<Value = UploadRecord> {
     let tile = (0..3_i32, -1..2_i32, any::<bool>()).prop_map(|(x, y, south)| {
         let zone = Zone::from_epsg(if south { 32714 } else { 32614 }).unwrap();
         TileId { zone, y, x }
@@ -26,12 +26,12 @@ pub(crate) fn uploads() -> impl Strategy<Value = Upload> {
     (any::<u128>(), pass, tiles, any::<Vec<u8>>()).prop_map(|(id, pass, tiles, answer)| {
         let detections = tiles.values().map(TileEvidence::detections).sum();
         let contribution = EvidenceDelta { tiles, detections };
-        Upload { id: Uuid::from_u128(id), pass, forget_before: 0, contribution, answer }
+        UploadRecord { id: Uuid::from_u128(id), pass, forget_before: 0, contribution, answer }
     })
 }
 
 /// The same uploads in every run.
-pub(crate) fn some_uploads(count: usize) -> Vec<Upload> {
+pub(crate) fn some_uploads(count: usize) -> Vec<UploadRecord> {
     use proptest::strategy::ValueTree;
     use proptest::test_runner::TestRunner;
     let mut runner = TestRunner::deterministic();

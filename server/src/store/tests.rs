@@ -11,27 +11,32 @@ use proptest::prelude::*;
 use super::testing::{some_uploads, uploads};
 use super::*;
 
+mod compacting;
 mod controls;
 mod copies;
 mod folding;
 mod past;
-mod settling;
 
+thread_local! {
+    /// What a test says the day is, for calls of its own thread.
+    static TODAY: std::cell::Cell<Option<u16>> = const { std::cell::Cell::new(None) };
+}
+
+/// A small cache, small segments, and a write buffer that is full at once.
 fn options(dir: &Path) -> Options {
-    use super::Policy;
-    Options {
-        data_dir: dir.to_owned(),
-        cache_bytes: 8 << 20,
-        segment_bytes: 4096,
-        policy: Policy::trusting(),
-    }
+    let usual = Options::new(dir.to_owned(), Policy::trusting());
+    let system = usual.clock.clone();
+    let clock = StoreClock::new(move || {
+        TODAY.get().map_or_else(|| system.now_us(), |day| i64::from(day) * echofix_core::time::DAY_US)
+    });
+    Options { cache_bytes: 8 << 20, segment_bytes: 4096, write_buffer_tiles: 3, clock, ..usual }
 }
 
 fn open(dir: &Path) -> EmbeddedStore {
     EmbeddedStore::open(&options(dir)).unwrap()
 }
 
-fn commit_all(store: &EmbeddedStore, uploads: &[Upload]) {
+fn commit_all(store: &EmbeddedStore, uploads: &[UploadRecord]) {
     for upload in uploads {
         store.commit(upload.clone()).unwrap();
     }
@@ -49,7 +54,8 @@ fn tiles_dir(dir: &Path) -> PathBuf {
 /// Waits until everything in the journal is folded.
 fn caught_up(store: &EmbeddedStore) {
     let deadline = Instant::now() + Duration::from_secs(20);
-    let done = |p: Progress| p.state == State::Serving && p.epoch == p.journaled && p.building.is_none();
+    let done =
+        |p: MapProgress| p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
     while !done(*store.progress().borrow()) {
         assert!(Instant::now() < deadline, "folding does not end");
         std::thread::sleep(Duration::from_millis(1));
@@ -71,7 +77,7 @@ fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Vec<u8>)> {
 }
 
 /// What the map must be.
-fn model(uploads: &[Upload]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
+fn model(uploads: &[UploadRecord]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     let mut tiles: BTreeMap<TileId, (u64, Tile, Ledger)> = BTreeMap::new();
     for (number, upload) in (1..).zip(uploads) {
         for (id, share) in &upload.contribution.tiles {
@@ -91,7 +97,7 @@ proptest! {
     ) {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path());
-        let mut counted: Vec<Upload> = Vec::new();
+        let mut counted: Vec<UploadRecord> = Vec::new();
         for (upload, then) in steps {
             let receipt = store.commit(upload.clone()).unwrap();
             counted.push(upload);
@@ -118,7 +124,7 @@ proptest! {
 }
 
 /// A store takes uploads, folds them and ends.
-fn folded_and_closed(dir: &Path, uploads: &[Upload]) {
+fn folded_and_closed(dir: &Path, uploads: &[UploadRecord]) {
     let store = open(dir);
     commit_all(&store, uploads);
     caught_up(&store);
@@ -150,7 +156,7 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
 
 /// Breaks it: ending the start with sled's refusal.
 #[test]
-fn tiles_that_an_older_version_kept_in_another_layout_are_rebuilt() {
+fn tiles_that_an_older_version_stored_in_another_layout_are_rebuilt() {
     let dir = tempfile::tempdir().unwrap();
     let uploads = some_uploads(20);
     folded_and_closed(dir.path(), &uploads);
@@ -204,14 +210,14 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let tiles = tiles::Tiles::open(&tiles_dir(dir), 1 << 20).unwrap();
+    let tiles = tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
     let result = work(&tiles.tree);
     tiles.db.flush().unwrap();
     result
 }
 
 #[test]
-fn acknowledged_uploads_missing_from_the_journal_are_told() {
+fn acknowledged_uploads_missing_from_the_journal_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let uploads = some_uploads(3);
@@ -248,7 +254,7 @@ fn a_journal_without_its_key_is_not_opened() {
 }
 
 #[test]
-fn a_journal_that_stopped_and_folding_that_fails_are_told() {
+fn a_journal_that_stopped_and_folding_that_fails_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     std::fs::rename(dir.path().join("journal"), dir.path().join("gone")).unwrap();
@@ -258,7 +264,7 @@ fn a_journal_that_stopped_and_folding_that_fails_are_told() {
     assert!(matches!(refused, Error::Stopped(_)), "{refused}");
     assert!(store.progress().borrow().stopped);
     let deadline = Instant::now() + Duration::from_secs(20);
-    while store.progress().borrow().state != State::Stalled {
+    while store.progress().borrow().state != MapStatus::Stalled {
         assert!(Instant::now() < deadline, "folding goes on without a journal");
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -283,7 +289,7 @@ fn one_id_from_many_threads_at_once_counts_once() {
 #[test]
 fn the_order_of_uploads_changes_versions_and_presence_only() {
     let mut uploads = some_uploads(20);
-    let evidence = |uploads: &[Upload]| -> Vec<_> {
+    let evidence = |uploads: &[UploadRecord]| -> Vec<_> {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path());
         commit_all(&store, uploads);

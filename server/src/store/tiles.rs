@@ -1,6 +1,6 @@
 //! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
 //! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
-//! kept from another time, are noticed by it; then all are folded again.
+//! has from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
 //! key    see [`super::key`]
@@ -9,6 +9,7 @@
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
+use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -18,22 +19,25 @@ use echofix_core::tile::{self, Tile};
 use sled::IVec;
 use uuid::Uuid;
 
-use super::canvas::{Folded, Source};
+use super::attempt::TilesError;
 use super::catalog::Catalog;
+use super::checksum::{SUM, seal, sealed};
 use super::key::key;
-use super::vetting::Quarantined;
+use super::vetting::QuarantinedRecord;
+use super::write_buffer::{Folded, Source};
 use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.
 const JOURNAL: &[u8] = b"journal";
-/// Where it is kept how far the tiles go.
+/// Where it says how far the tiles are folded.
 const STATE: &[u8] = b"state";
-const HEAD: usize = 22;
+/// Bytes of a value between its checksum and the tile.
+const HEAD: usize = 18;
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 
 /// The tile store.
-pub(super) struct Tiles {
+pub(super) struct TileStore {
     pub(super) db: sled::Db,
     pub(super) tree: sled::Tree,
     /// Held by who changes tiles, and by who must see them all of one time.
@@ -42,9 +46,10 @@ pub(super) struct Tiles {
     whole: RwLock<()>,
 }
 
-impl Tiles {
+impl TileStore {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let db = unlocked(&pieces::config(dir, cache_bytes))?;
+        wait_until_unlocked(dir);
+        let db = pieces::config(dir, cache_bytes).open()?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { db, tree, changing: Mutex::default(), whole: RwLock::default() })
     }
@@ -60,27 +65,27 @@ impl Tiles {
     }
 
     /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
-    pub(super) fn check(&self) -> Result<(Catalog, u64), String> {
+    pub(super) fn check(&self) -> Result<(Catalog, u64), TilesError> {
         let _unchanged = self.changing();
         let mut catalog = Catalog::default();
         let mut after = IVec::default();
-        while let Some((key, _)) = self.tree.get_gt(&after).map_err(|error| error.to_string())? {
+        while let Some((key, _)) = self.tree.get_gt(&after).map_err(Error::from)? {
             after = if let Some(id) = pieces::tile_of(&key) {
-                let value = self.value(id).map_err(|error| error.to_string())?.unwrap_or_default();
-                catalog.put(parse(id, &value).map_err(|error| error.to_string())?.info);
+                let value = self.value(id)?.unwrap_or_default();
+                catalog.put(parse(id, &value)?.info);
                 IVec::from(&pieces::last_key(id)[..])
             } else if key == STATE || quarantine::is_key(&key) {
                 key
             } else {
-                return Err(format!("nobody knows what {:?} is", &key[..]));
+                return Err(TilesError::UnknownKey(key.to_vec()));
             };
         }
-        match self.tree.get(STATE).map_err(|error| error.to_string())? {
-            None => Err("it is not said how far they are folded".to_owned()),
+        match self.tree.get(STATE).map_err(Error::from)? {
+            None => Err(TilesError::NoState),
             Some(state) => match parse_state(&state) {
                 Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
-                Some(_) => Err("some are missing or older than the others".to_owned()),
-                None => Err("how far they are folded is damaged".to_owned()),
+                Some(_) => Err(TilesError::Incomplete),
+                None => Err(TilesError::StateDamaged),
             },
         }
     }
@@ -100,17 +105,17 @@ impl Tiles {
         Ok(Some((value.info.version, value.tile.to_vec())))
     }
 
-    /// Puts tiles, what was kept out of them, and how far they go with them, all or none.
+    /// Puts tiles, the uploads that were quarantined, and how far the tiles go, all or none.
     pub(super) fn put_all(
         &self,
-        values: Vec<Value>,
-        quarantined: &[Quarantined],
+        values: Vec<TileValue>,
+        quarantined: &[QuarantinedRecord],
         folded: u64,
         digest: u64,
     ) -> Result<(), Error> {
         let _changing = self.changing();
         let mut batch = sled::Batch::default();
-        for Value { bytes, info } in values {
+        for TileValue { bytes, info } in values {
             pieces::put(&self.tree, &mut batch, info.id, &bytes)?;
         }
         for quarantined in quarantined {
@@ -123,8 +128,8 @@ impl Tiles {
         Ok(())
     }
 
-    /// The uploads that were kept out, oldest first.
-    pub(super) fn quarantined(&self) -> Result<Vec<Quarantined>, Error> {
+    /// The quarantined uploads, oldest first.
+    pub(super) fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         let damaged = || Error::Damaged {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
@@ -152,7 +157,7 @@ impl Tiles {
     }
 }
 
-impl Source for Tiles {
+impl Source for TileStore {
     fn folded(&self, id: TileId) -> Result<Folded, Error> {
         let Some(value) = self.value(id)? else { return Ok(Folded::default()) };
         let value = parse(id, &value)?;
@@ -163,12 +168,12 @@ impl Source for Tiles {
 }
 
 /// A tile in the bytes it is stored in.
-pub(super) struct Value {
+pub(super) struct TileValue {
     bytes: Vec<u8>,
     pub(super) info: TileInfo,
 }
 
-impl Value {
+impl TileValue {
     /// Of its cells those count that are served when `publish` contributors are asked for.
     pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
         let encoded = tile::encode(&folded.tile);
@@ -179,48 +184,42 @@ impl Value {
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
         };
-        let mut bytes = vec![0; 4];
+        let mut bytes = vec![0; SUM];
         bytes.extend_from_slice(&info.version.to_le_bytes());
         bytes.extend_from_slice(&info.cells.to_le_bytes());
         bytes.extend_from_slice(&info.newest_day.to_le_bytes());
         bytes.extend_from_slice(&info.bytes.to_le_bytes());
         bytes.extend_from_slice(&encoded);
         bytes.extend_from_slice(&tile::encode_ledger(&folded.ledger));
-        let checksum = checksum(&key(id), &bytes);
-        bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+        seal(&mut bytes, &key(id));
         Self { bytes, info }
     }
 }
 
 fn state(folded: u64, digest: u64) -> Vec<u8> {
-    let mut bytes = vec![0; 4];
+    let mut bytes = vec![0; SUM];
     bytes.extend_from_slice(&folded.to_le_bytes());
     bytes.extend_from_slice(&digest.to_le_bytes());
-    let checksum = checksum(STATE, &bytes);
-    bytes[..4].copy_from_slice(&checksum.to_le_bytes());
+    seal(&mut bytes, STATE);
     bytes
 }
 
 fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
-    let bytes: &[u8; 20] = bytes.try_into().ok()?;
-    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
-    let (folded, digest) = (word(4), word(12));
-    (state(folded, digest) == bytes).then_some((folded, digest))
+    let rest: &[u8; 16] = sealed(bytes, STATE)?.try_into().ok()?;
+    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| rest[at + i]));
+    Some((word(0), word(8)))
 }
 
-/// Opens sled, waiting while an instance of this process that was just dropped still holds it: its
-/// threads end a little later. No other process has it, see [`super::data_dir`].
-fn unlocked(config: &sled::Config) -> Result<sled::Db, sled::Error> {
+/// Waits while an instance of this process that was just dropped still holds the files: sled's threads end a little
+/// later, and with them its lock goes. No other process has them, see [`super::data_dir`], and who drops an instance
+/// to open the next is one thread. So a lock that could be had for a moment here is free for sled. What is held for
+/// longer, sled itself refuses.
+fn wait_until_unlocked(dir: &Path) {
+    // sled 0.34 holds the lock of flock(2), as `File::try_lock` takes it, on this file.
+    let Ok(file) = File::open(dir.join("db")) else { return };
     let began = Instant::now();
-    loop {
-        match config.open() {
-            Err(sled::Error::Io(error))
-                if error.to_string().contains("could not acquire lock") && began.elapsed() < LOCK_WAIT =>
-            {
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            outcome => return outcome,
-        }
+    while matches!(file.try_lock(), Err(TryLockError::WouldBlock)) && began.elapsed() < LOCK_WAIT {
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 
@@ -236,24 +235,16 @@ fn parse(id: TileId, value: &[u8]) -> Result<Parsed<'_>, Error> {
 }
 
 fn parse_sound(id: TileId, value: &[u8]) -> Option<Parsed<'_>> {
-    let (head, body) = value.split_at_checked(HEAD)?;
-    if checksum(&key(id), value).to_le_bytes() != head[..4] {
-        return None;
-    }
+    let (head, body) = sealed(value, &key(id))?.split_at_checked(HEAD)?;
     let info = TileInfo {
         id,
-        version: u64::from_le_bytes(head[4..12].try_into().ok()?),
-        cells: u32::from_le_bytes(head[12..16].try_into().ok()?),
-        newest_day: u16::from_le_bytes(head[16..18].try_into().ok()?),
-        bytes: u32::from_le_bytes(head[18..22].try_into().ok()?),
+        version: u64::from_le_bytes(head[..8].try_into().ok()?),
+        cells: u32::from_le_bytes(head[8..12].try_into().ok()?),
+        newest_day: u16::from_le_bytes(head[12..14].try_into().ok()?),
+        bytes: u32::from_le_bytes(head[14..18].try_into().ok()?),
     };
     let (tile, ledger) = body.split_at_checked(info.bytes as usize)?;
     Some(Parsed { info, tile, ledger })
-}
-
-/// The key is part of the sum: a sound value under another tile's key is damage too.
-fn checksum(key: &[u8], value: &[u8]) -> u32 {
-    crc32c::crc32c_append(crc32c::crc32c(key), &value[4..])
 }
 
 fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
@@ -273,7 +264,7 @@ mod tests {
     }
 
     /// A tile in a version, of so many cells.
-    fn value(x: i32, version: u64, cells: u32) -> Value {
+    fn value(x: i32, version: u64, cells: u32) -> TileValue {
         let mut folded = Folded { version, ..Folded::default() };
         // Nothing that could be compressed away.
         let noise = |at: u32| at.wrapping_mul(0x9e37_79b9) >> 8;
@@ -284,7 +275,7 @@ mod tests {
         };
         let share = TileEvidence::of_hits((0..cells).map(hit).collect());
         folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
-        Value::new(id(x), &folded, 1)
+        TileValue::new(id(x), &folded, 1)
     }
 
     proptest! {
@@ -294,7 +285,7 @@ mod tests {
             at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
         ) {
             let dir = tempfile::tempdir().unwrap();
-            let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+            let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
             let value = value(-1, 3, 8000);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
@@ -321,20 +312,37 @@ mod tests {
         }
     }
 
+    /// Breaks it: not waiting for sled's threads, or for a lock of another file than sled's.
+    #[test]
+    fn an_instance_that_goes_is_waited_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = TileStore::open(dir.path(), 1 << 20).unwrap();
+        assert!(pieces::config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
+        let held = Duration::from_millis(200);
+        let began = Instant::now();
+        let goes = std::thread::spawn(move || {
+            std::thread::sleep(held);
+            drop(first);
+        });
+        assert!(TileStore::open(dir.path(), 1 << 20).is_ok());
+        assert!(began.elapsed() >= held);
+        goes.join().unwrap();
+    }
+
     #[test]
     fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
         let dir = tempfile::tempdir().unwrap();
-        let tiles = Tiles::open(dir.path(), 1 << 20).unwrap();
+        let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
         let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
         tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        let (at, kept) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
+        let (at, piece) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
         tiles.tree.remove(&at).unwrap();
         assert!(tiles.check().is_err());
-        tiles.tree.insert(&at, kept).unwrap();
+        tiles.tree.insert(&at, piece).unwrap();
         assert!(tiles.check().is_ok());
         tiles.tree.insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
-        assert!(tiles.check().is_err(), "a tile as it was kept before there were pieces");
+        assert!(tiles.check().is_err(), "a tile as it was stored before there were pieces");
         tiles.tree.remove(key(id(1))).unwrap();
         tiles.tree.insert(&at, value(1, 2, 1).bytes).unwrap();
         assert!(tiles.check().is_err());

@@ -7,20 +7,20 @@ use echofix_core::tile;
 use super::embedded::EmbeddedStore;
 use super::fold::unreadable;
 use super::generation::Generation;
-use super::{Error, Progress, entry};
+use super::{Error, MapProgress, entry};
 
 /// What a verification found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Verified {
     /// Records of the journal that were read.
     pub records: u64,
-    /// Tiles of the base that were read.
-    pub base_tiles: u64,
+    /// Tiles of the checkpoint that were read.
+    pub checkpoint_tiles: u64,
     /// Tiles that were read.
     pub tiles: u64,
     /// Tiles that were compared with a replay; `None` when none was asked for.
     pub compared: Option<u64>,
-    /// What is wrong, in words. Empty when all is well.
+    /// One sentence for each defect; empty when all is sound.
     pub damage: Vec<String>,
 }
 
@@ -28,7 +28,7 @@ impl EmbeddedStore {
     pub(super) fn verified(&self, replay: bool) -> Result<Verified, Error> {
         let mut found = Verified::default();
         self.verify_journal(&mut found);
-        self.verify_base(&mut found);
+        self.verify_checkpoint(&mut found);
         verify_tiles(&*self.shared.readable()?, &mut found);
         if replay {
             self.compare(&mut found)?;
@@ -37,8 +37,8 @@ impl EmbeddedStore {
     }
 
     fn verify_journal(&self, found: &mut Verified) {
-        let base = self.shared.base();
-        let (mut at, mut reader) = (base.last, self.shared.journal.reader());
+        let checkpoint = self.shared.checkpoint();
+        let (mut at, mut reader) = (checkpoint.last, self.shared.journal.reader());
         let newest = self.shared.index.newest();
         while at < newest {
             let group = self.shared.index.records(at, newest);
@@ -54,24 +54,24 @@ impl EmbeddedStore {
         }
     }
 
-    fn verify_base(&self, found: &mut Verified) {
+    fn verify_checkpoint(&self, found: &mut Verified) {
         let mut tiles = 0;
-        let outcome = self.shared.base().visit(|id, _, encoded| {
+        let outcome = self.shared.checkpoint().visit(|id, _, encoded| {
             tiles += 1;
             let damaged = |error: tile::DecodeError| Error::Damaged {
-                what: format!("tile {id} of the base"),
+                what: format!("tile {id} of the checkpoint"),
                 reason: error.to_string(),
             };
             tile::decode(&encoded).map(|_| ()).map_err(damaged)
         });
-        found.base_tiles = tiles;
+        found.checkpoint_tiles = tiles;
         found.damage.extend(outcome.err().map(|error| error.to_string()));
     }
 
     /// Tiles that change meanwhile are left out. Where another generation is served meanwhile, nothing is said.
     fn compare(&self, found: &mut Verified) -> Result<(), Error> {
         let generation = self.shared.readable()?;
-        let Progress { epoch, journaled, .. } = *self.shared.progress.borrow();
+        let MapProgress { epoch, journaled, .. } = *self.shared.progress.borrow();
         let mut snapshot = self.snapshot(epoch)?;
         let (mut compared, mut damage) = (0, Vec::new());
         for id in generation.ids() {

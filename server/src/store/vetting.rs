@@ -1,4 +1,4 @@
-//! An upload is held against the map that exists before it is folded.
+//! Vetting: an upload is compared with the map before it is folded.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
@@ -8,36 +8,36 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::{Datum, Offset};
 use echofix_core::evidence::{EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TILE_M, TileId, Zone};
-use echofix_core::vetting::alarm::Quarantined as Entry;
+use echofix_core::vetting::alarm::Quarantined as QuarantinedUpload;
 use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Vetted, Vetter, moved_shares, told_by_others};
 
-use super::canvas::{Canvas, Folded};
-use super::{Error, Upload};
+use super::write_buffer::{Folded, WriteBuffer};
+use super::{Error, UploadRecord};
 
-/// Prepared tiles that are kept for the next upload, which likely comes from near by: a quarter of a
+/// Prepared tiles that are cached for the next upload, which likely comes from near by: a quarter of a
 /// megabyte each.
 const PREPARED: usize = 256;
 
-/// An upload that was kept out of the map.
+/// An upload that vetting kept out of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Quarantined {
-    /// Number of its record.
+pub struct QuarantinedRecord {
+    /// Number of the upload's record.
     pub number: u64,
-    /// Why.
+    /// Why vetting kept it out.
     pub reason: Reason,
     /// Where it was, whose it was, and how far off.
-    pub upload: Entry,
+    pub upload: QuarantinedUpload,
 }
 
 /// What becomes of an upload.
-pub(super) enum Outcome {
-    /// It counts: its shares, moved onto the map, each with what moved it at its tile's centre.
+pub(super) enum VettingOutcome {
+    /// It counts: its tile evidence, moved onto the map, each with what moved it at its tile's centre.
     Counts(Vec<(TileId, TileEvidence, Offset)>),
     /// It does not.
-    Quarantined(Quarantined),
+    Quarantined(QuarantinedRecord),
 }
 
-/// What vetting keeps between uploads.
+/// Buffers and prepared tiles that pass from one upload to the next.
 pub(super) struct Vetting {
     /// Without limits nothing is vetted.
     limits: Option<Limits>,
@@ -50,24 +50,24 @@ impl Vetting {
         Self { limits, vetter: Vetter::default(), prepared: HashMap::new() }
     }
 
-    /// Holds an upload against what others told of its place.
+    /// Compares an upload with what others contributed where it lies.
     pub(super) fn vet(
         &mut self,
-        canvas: &mut Canvas<'_>,
+        buffer: &mut WriteBuffer<'_>,
         number: u64,
-        upload: &Upload,
-    ) -> Result<Outcome, Error> {
+        upload: &UploadRecord,
+    ) -> Result<VettingOutcome, Error> {
         let zones = by_zone(&upload.contribution);
         let Some(limits) = self.limits else {
             let as_it_came = zones.values().flat_map(|shares| moved_shares(shares, &Offsets::default()));
-            return Ok(Outcome::Counts(as_it_came.collect()));
+            return Ok(VettingOutcome::Counts(as_it_came.collect()));
         };
         let mut counts = Vec::new();
         for (zone, shares) in zones {
             let contributor = upload.pass.contributor;
-            let others = Others {
+            let others = OthersMap {
                 contributor,
-                within: RefCell::new(Within { canvas, prepared: &mut self.prepared, failed: None }),
+                within: RefCell::new(OthersMapState { buffer, prepared: &mut self.prepared, failed: None }),
             };
             let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
             let vetted = self.vetter.vet(&cells, &others, &limits);
@@ -80,12 +80,12 @@ impl Vetting {
                 }
                 Vetted::Quarantined { reason, offset } => {
                     let (place, day) = (middle(&shares), upload.pass.day);
-                    let upload = Entry { zone, place, offset, contributor, day };
-                    return Ok(Outcome::Quarantined(Quarantined { number, reason, upload }));
+                    let upload = QuarantinedUpload { zone, place, offset, contributor, day };
+                    return Ok(VettingOutcome::Quarantined(QuarantinedRecord { number, reason, upload }));
                 }
             }
         }
-        Ok(Outcome::Counts(counts))
+        Ok(VettingOutcome::Counts(counts))
     }
 }
 
@@ -109,20 +109,20 @@ fn middle(shares: &[(TileId, &TileEvidence)]) -> [f64; 2] {
     [weighted(0), weighted(1)]
 }
 
-/// The map without what only the upload's own contributor told.
-struct Others<'a, 'b> {
+/// The map without what only the upload's own contributor contributed.
+struct OthersMap<'a, 'b> {
     contributor: u64,
-    within: RefCell<Within<'a, 'b>>,
+    within: RefCell<OthersMapState<'a, 'b>>,
 }
 
-struct Within<'a, 'b> {
-    canvas: &'a mut Canvas<'b>,
+struct OthersMapState<'a, 'b> {
+    buffer: &'a mut WriteBuffer<'b>,
     prepared: &'a mut HashMap<(TileId, [u64; 9]), Arc<TileWeights>>,
     /// The first tile that could not be read: what came of it must not be used.
     failed: Option<Error>,
 }
 
-impl MapSide for Others<'_, '_> {
+impl MapSide for OthersMap<'_, '_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
         let mut within = self.within.borrow_mut();
         let weights = within.weights(id, self.contributor);
@@ -131,27 +131,27 @@ impl MapSide for Others<'_, '_> {
 
     fn datum(&self, id: TileId) -> Datum {
         let mut within = self.within.borrow_mut();
-        let datum = within.canvas.get(id).map(|folded| folded.tile.datum());
+        let datum = within.buffer.get(id).map(|folded| folded.tile.datum());
         within.noted(datum).unwrap_or_default()
     }
 }
 
-impl Within<'_, '_> {
+impl OthersMapState<'_, '_> {
     fn weights(&mut self, id: TileId, contributor: u64) -> Result<Option<Arc<TileWeights>>, Error> {
-        let Folded { tile, ledger, .. } = self.canvas.get(id)?;
+        let Folded { tile, ledger, .. } = self.buffer.get(id)?;
         if !told_by_others(tile, ledger, contributor) {
             return Ok(None);
         }
         let near = id.with_neighbours();
         let mut versions = [0; 9];
         for (version, id) in versions.iter_mut().zip(near) {
-            *version = self.canvas.get(id)?.version;
+            *version = self.buffer.get(id)?.version;
         }
         if let Some(known) = self.prepared.get(&(id, versions)) {
             return Ok(Some(Arc::clone(known)));
         }
         let weights =
-            Arc::new(TileWeights::new(id, |at| self.canvas.looked_at(at).map(|folded| &folded.tile)));
+            Arc::new(TileWeights::new(id, |at| self.buffer.looked_at(at).map(|folded| &folded.tile)));
         if self.prepared.len() >= PREPARED {
             self.prepared.clear();
         }

@@ -22,7 +22,7 @@ use uuid::Uuid;
 /// 2026-01-01 noon, UTC.
 pub const NOON_US: i64 = 1_767_268_800_000_000;
 
-pub struct Running {
+pub struct TestServer {
     pub grpc: SocketAddr,
     pub http: SocketAddr,
     stop: oneshot::Sender<()>,
@@ -42,7 +42,7 @@ pub fn config(dir: &Path, settings: &[(&str, &str)]) -> Config {
     Config::load(&Sources { settings, ..Sources::default() }).unwrap()
 }
 
-impl Running {
+impl TestServer {
     pub async fn start(dir: &Path) -> Self {
         Self::with(dir, &[]).await
     }

@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use echofix_core::pose::Pose2;
+use echofix_core::time::DAY_US;
 
 use super::CityParams;
 use super::streets::{LANE_M, Network};
@@ -37,7 +38,7 @@ impl Traveller {
     #[must_use]
     pub fn at(&self, time_us: i64) -> Mover {
         // Whole turns are dropped in integers: the epoch is long ago.
-        let time_s = time_us.rem_euclid(86_400_000_000) as f64 * 1e-6;
+        let time_s = time_us.rem_euclid(DAY_US) as f64 * 1e-6;
         let phase = self.wave_radps * time_s;
         let way_m = self.start_m + self.speed_mps * time_s + self.wave_m * phase.sin();
         let speed_mps = self.speed_mps + self.wave_m * self.wave_radps * phase.cos();

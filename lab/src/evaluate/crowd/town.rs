@@ -1,9 +1,9 @@
 //! A small town, driven through on many days.
 
 use echofix_core::drive::Drive;
+use echofix_core::time::DAY_US;
 use echofix_sim::{City, CityParams, Route, downtown};
 
-use crate::evaluate::map::DAY_US;
 use crate::evaluate::simulated;
 
 /// Length of an ordinary way through it, metres: a few minutes.

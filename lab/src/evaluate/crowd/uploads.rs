@@ -7,8 +7,9 @@ use echofix_core::geo::{Grid, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Scan;
+use echofix_core::time::DAY_US;
 
-use crate::evaluate::map::{DAY_US, Movers, gated, on_grid, stretches};
+use crate::evaluate::map::{Movers, gated, on_grid, stretches};
 
 /// What reaches the service at once.
 #[derive(Debug, Clone)]

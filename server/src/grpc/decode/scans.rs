@@ -3,11 +3,11 @@
 use echofix_core::scan::{self, Scan, ScanView, first_row};
 use echofix_proto::v1;
 
-use super::{MAX_SCANS, Violation, angle, limit, require, same_length, times};
+use super::{InvalidField, MAX_SCANS, angle, limit, require, same_length, times};
 
 /// Scans in columns that are sound: finite, of matching lengths, of radars that are mounted.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Scans {
+pub struct ScanColumns {
     sensor: Vec<u32>,
     time_us: Vec<i64>,
     detection_count: Vec<u32>,
@@ -15,9 +15,9 @@ pub struct Scans {
     detections: Scan,
 }
 
-impl Scans {
+impl ScanColumns {
     /// Each scan with its own rows of the detection columns, in the order they came. Those without
-    /// any tell nothing and are left out.
+    /// any are left out.
     pub fn iter(&self) -> impl Iterator<Item = ScanView<'_>> + Clone {
         let ends = self.detection_count.iter().scan(0, |end, count| {
             *end += *count as usize;
@@ -50,7 +50,7 @@ pub fn scans(
     reference_time_us: i64,
     mounts: usize,
     field: &str,
-) -> Result<Scans, Violation> {
+) -> Result<ScanColumns, InvalidField> {
     let at = |name: &str| format!("{field}.{name}");
     let v1::Scans { sensor, time_offset_us, detection_count, range_m, azimuth_rad, .. } = columns;
     require(!sensor.is_empty(), &at("sensor"), "is empty; send at least one scan")?;
@@ -59,21 +59,21 @@ pub fn scans(
     same_length(detection_count.len(), sensor.len(), &at("detection_count"), "sensor")?;
     if let Some(row) = sensor.iter().position(|sensor| *sensor as usize >= mounts) {
         let described = format!("names sensor {}, but {mounts} are mounted", sensor[row]);
-        return Err(Violation::new(format!("{}[{row}]", at("sensor")), described));
+        return Err(InvalidField::new(format!("{}[{row}]", at("sensor")), described));
     }
     let counted: u64 = detection_count.iter().map(|count| u64::from(*count)).sum();
     if counted != range_m.len() as u64 {
         let described = format!("adds up to {counted}, but `range_m` has {} values", range_m.len());
-        return Err(Violation::new(at("detection_count"), described));
+        return Err(InvalidField::new(at("detection_count"), described));
     }
     let time_us = times(time_offset_us, reference_time_us, &at("time_offset_us"))?;
     let (radial_speed_mps, rcs_dbsm) = (columns.radial_speed_mps, columns.rcs_dbsm);
     let detections = Scan { range_m, azimuth_rad, radial_speed_mps, rcs_dbsm, ..Scan::default() };
-    detections.validate().map_err(|error| Violation::new(at(column(&error)), error))?;
+    detections.validate().map_err(|error| InvalidField::new(at(column(&error)), error))?;
     if let Some(row) = first_row(&detections.azimuth_rad, |azimuth| !angle(f64::from(azimuth))) {
-        return Err(Violation::new(format!("{}[{row}]", at("azimuth_rad")), "is not an angle in radians"));
+        return Err(InvalidField::new(format!("{}[{row}]", at("azimuth_rad")), "is not an angle in radians"));
     }
-    Ok(Scans { sensor, time_us, detection_count, detections })
+    Ok(ScanColumns { sensor, time_us, detection_count, detections })
 }
 
 /// The column a scan's error is about.

@@ -3,7 +3,7 @@
 use echofix_core::align::combine::sigmas;
 use echofix_proto::v1::Prior;
 
-use crate::grpc::violation::{Violation, require};
+use crate::grpc::invalid_field::{InvalidField, require};
 
 /// What a prior may be wrong by.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,13 +20,13 @@ pub struct Uncertainty {
 ///
 /// # Errors
 /// When neither is a proper uncertainty.
-pub fn uncertainty(prior: &Prior) -> Result<Uncertainty, Violation> {
+pub fn uncertainty(prior: &Prior) -> Result<Uncertainty, InvalidField> {
     if let [xx, xy, xt, yy, yt, tt] = prior.covariance[..] {
         let covariance = [[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]];
         let proper = covariance.iter().flatten().all(|v| v.is_finite());
         let (sigma_position_m, sigma_yaw_rad) = sigmas(&covariance)
             .filter(|_| proper)
-            .ok_or_else(|| Violation::new("prior.covariance", "must be finite and positive definite"))?;
+            .ok_or_else(|| InvalidField::new("prior.covariance", "must be finite and positive definite"))?;
         return Ok(Uncertainty { covariance, sigma_position_m, sigma_yaw_rad });
     }
     let six = "must hold six values, the upper triangle row by row, or none";
@@ -59,13 +59,13 @@ mod tests {
 
     #[test]
     fn what_is_no_uncertainty_is_refused() {
-        let told = |covariance: Vec<f64>| {
+        let refusal = |covariance: Vec<f64>| {
             let prior = Prior { covariance, sigma_position_m: 2.0, sigma_yaw_rad: 0.1, ..Prior::default() };
             uncertainty(&prior).unwrap_err().to_string()
         };
-        assert!(told(vec![1.0]).contains("six values"));
-        assert!(told(vec![1.0, 2.0, 0.0, 1.0, 0.0, 0.01]).contains("positive definite"));
-        assert!(told(vec![f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.01]).contains("finite"));
+        assert!(refusal(vec![1.0]).contains("six values"));
+        assert!(refusal(vec![1.0, 2.0, 0.0, 1.0, 0.0, 0.01]).contains("positive definite"));
+        assert!(refusal(vec![f64::NAN, 0.0, 0.0, 1.0, 0.0, 0.01]).contains("finite"));
         let none = Prior::default();
         assert!(uncertainty(&none).unwrap_err().to_string().contains("sigma_position_m"));
     }

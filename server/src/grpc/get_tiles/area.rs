@@ -6,7 +6,7 @@ use echofix_core::geo::{self, Grid, LatLon, TILE_M, TileId, Zone};
 use echofix_proto::v1::GeodeticBox;
 use tonic::Status;
 
-use super::super::violation::{Violation, require};
+use super::super::invalid_field::{InvalidField, require};
 use super::{MAX_AREA, status};
 use crate::store::{MapStore, TileInfo};
 
@@ -25,8 +25,8 @@ pub(super) fn tiles(store: &dyn MapStore, area: &GeodeticBox) -> Result<Vec<Tile
             let infos = store.catalog(zone, x, y).map_err(|error| status::store(&error))?;
             found.extend(infos.into_iter().filter(|info| touches(&grid, info.id, &part)));
             if found.len() > MAX_AREA {
-                let told = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
-                return Err(status::invalid(&Violation::new("area", told)));
+                let rule = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
+                return Err(status::invalid(&InvalidField::new("area", rule)));
             }
         }
     }
@@ -34,7 +34,7 @@ pub(super) fn tiles(store: &dyn MapStore, area: &GeodeticBox) -> Result<Vec<Tile
 }
 
 /// Sound limits; two boxes when the area crosses the date line.
-fn checked(area: &GeodeticBox) -> Result<Vec<GeodeticBox>, Violation> {
+fn checked(area: &GeodeticBox) -> Result<Vec<GeodeticBox>, InvalidField> {
     let GeodeticBox { south_deg, west_deg, north_deg, east_deg } = *area;
     for (name, degrees, most) in [
         ("south_deg", south_deg, 90.0),
@@ -71,10 +71,10 @@ fn clip(area: &GeodeticBox, zone: Zone) -> Option<GeodeticBox> {
     (clipped.south_deg <= clipped.north_deg).then_some(clipped)
 }
 
-type Block = (Grid, RangeInclusive<i32>, RangeInclusive<i32>);
+type TileBlock = (Grid, RangeInclusive<i32>, RangeInclusive<i32>);
 
 /// The block of tiles around a box.
-fn block(zone: Zone, area: &GeodeticBox) -> Result<Block, geo::Error> {
+fn block(zone: Zone, area: &GeodeticBox) -> Result<TileBlock, geo::Error> {
     let grid = Grid::new(zone)?;
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     let step = |from: f64, to: f64, i: u32| from + (to - from) * f64::from(i) / f64::from(SIDE);

@@ -1,4 +1,4 @@
-//! Answers and refusals in the contract's words.
+//! Fixes and refusals as messages of the contract.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use echofix_proto::v1::{
 use tonic::Status;
 
 use crate::grpc::status;
-use crate::locating::{Answer, Refusal};
+use crate::locating::{LocateAnswer, LocateRefusal};
 
 /// Name and version of the algorithm, as answers carry it.
 const ALGORITHM: &str = "weights-drift/2";
@@ -35,7 +35,7 @@ impl BatchFacts {
 }
 
 pub(super) fn response(
-    answer: &Answer,
+    answer: &LocateAnswer,
     time_us: i64,
     alert_limit_m: f64,
     batch: &BatchFacts,
@@ -83,7 +83,7 @@ pub(super) fn response(
     }
 }
 
-fn protection(answer: &Answer) -> ProtectionLevel {
+fn protection(answer: &LocateAnswer) -> ProtectionLevel {
     let Protection { along_m, cross_m, yaw_rad } = answer.protection;
     let finite = [along_m, cross_m, yaw_rad].iter().all(|level| level.is_finite());
     ProtectionLevel {
@@ -95,7 +95,7 @@ fn protection(answer: &Answer) -> ProtectionLevel {
     }
 }
 
-fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
+fn diagnostics(answer: &LocateAnswer, batch: &BatchFacts) -> Diagnostics {
     let alignment = &answer.alignment;
     Diagnostics {
         detections_sent: batch.detections,
@@ -111,12 +111,12 @@ fn diagnostics(answer: &Answer, batch: &BatchFacts) -> Diagnostics {
         window_ms: milliseconds(answer.timing.window),
         align_ms: milliseconds(answer.timing.align),
         contrast: alignment.contrast,
-        searched_wide: answer.searched_wide,
+        searched_wide: answer.relocalized,
     }
 }
 
-/// The status and, in words, what it rests on.
-fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
+/// The status and the sentence that gives its reason.
+fn judged(answer: &LocateAnswer, alert_limit_m: f64) -> (FixStatus, String) {
     let horizontal_m = answer.protection.horizontal_m();
     // A level that is no number is within no limit.
     let within_limit = horizontal_m <= alert_limit_m;
@@ -126,12 +126,12 @@ fn judged(answer: &Answer, alert_limit_m: f64) -> (FixStatus, String) {
         );
         return (FixStatus::AboveAlertLimit, text);
     }
-    told(&answer.alignment)
+    status_and_reason(&answer.alignment)
 }
 
-/// A verdict in the contract's words.
-fn told(alignment: &Alignment) -> (FixStatus, String) {
-    let percent = |share: f64| share * 100.0;
+/// A verdict as a status of the contract.
+fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
+    let percent = |fraction: f64| fraction * 100.0;
     match alignment.verdict {
         Verdict::Usable => (
             FixStatus::Usable,
@@ -178,25 +178,25 @@ fn told(alignment: &Alignment) -> (FixStatus, String) {
 }
 
 /// The refusal's reason, as `google.rpc.ErrorInfo` and the metrics name it.
-pub(super) fn reason(refusal: &Refusal) -> &'static str {
+pub(super) fn reason(refusal: &LocateRefusal) -> &'static str {
     match refusal {
-        Refusal::NoMap { .. } => "NO_MAP",
-        Refusal::TooSlow { .. } => "TOO_SLOW",
-        Refusal::NoDetections => "NO_DETECTIONS",
-        Refusal::TooFewDetections { .. } => "TOO_FEW_DETECTIONS",
-        Refusal::PriorTooUncertain { .. } => "PRIOR_TOO_UNCERTAIN",
-        Refusal::Place(_) => "OUTSIDE_UTM",
-        Refusal::Overloaded { .. } => "OVERLOADED",
-        Refusal::Store(_) => "MAP_UNREADABLE",
-        Refusal::Ending => "ENDING",
+        LocateRefusal::NoMap { .. } => "NO_MAP",
+        LocateRefusal::TooSlow { .. } => "TOO_SLOW",
+        LocateRefusal::NoDetections => "NO_DETECTIONS",
+        LocateRefusal::TooFewDetections { .. } => "TOO_FEW_DETECTIONS",
+        LocateRefusal::PriorTooUncertain { .. } => "PRIOR_TOO_UNCERTAIN",
+        LocateRefusal::Place(_) => "OUTSIDE_UTM",
+        LocateRefusal::Overloaded { .. } => "OVERLOADED",
+        LocateRefusal::Store(_) => "MAP_UNREADABLE",
+        LocateRefusal::Ending => "ENDING",
     }
 }
 
-pub(super) fn refused(refusal: &Refusal) -> Status {
+pub(super) fn refused(refusal: &LocateRefusal) -> Status {
     match refusal {
-        Refusal::Overloaded { retry_after, .. } => status::overloaded(refusal, *retry_after),
-        Refusal::Store(error) => status::store(error),
-        Refusal::Ending => status::unavailable(refusal, Duration::from_secs(1)),
+        LocateRefusal::Overloaded { retry_after, .. } => status::overloaded(refusal, *retry_after),
+        LocateRefusal::Store(error) => status::store(error),
+        LocateRefusal::Ending => status::unavailable(refusal, Duration::from_secs(1)),
         _ => status::refused(reason(refusal), refusal, &[]),
     }
 }

@@ -9,7 +9,7 @@ use echofix_core::geo::Zone;
 use echofix_proto::v1::EvidenceChunk;
 
 use super::Error;
-use crate::grpc::violation::{Violation, require};
+use crate::grpc::invalid_field::{InvalidField, require};
 use crate::mapping::MappingConfig;
 
 /// Hits that one upload may have in one cell: more than radars make in the seconds it spans.
@@ -31,7 +31,7 @@ impl Evidence {
     }
 
     /// Takes the next piece.
-    pub(super) fn add(&mut self, chunk: &EvidenceChunk) -> Result<(), Violation> {
+    pub(super) fn add(&mut self, chunk: &EvidenceChunk) -> Result<(), InvalidField> {
         require(!chunk.contribution.is_empty(), "evidence.contribution", "is empty")?;
         if self.is_empty() {
             let sigma = |value: f32, field| {
@@ -79,6 +79,10 @@ impl Evidence {
         if contribution.tiles.keys().any(|id| !id.lies_on_grid()) {
             return Err(invalid(&"a tile lies outside its zone"));
         }
+        // The journal gets an encoding that is made anew, and not the bytes as they came. Their head holds the vehicle's own
+        // count of detections, which nothing checks and the answer repeats: it is replaced by what the cells add up to. And
+        // whatever library encoded them, equal evidence then gives the same record. Folding decodes the record, not this
+        // value, so that it does the same now and at a replay.
         let contribution = EvidenceDelta { detections, ..contribution };
         Ok(BuiltEvidence { delta: contribution, dropped: Dropped::default() })
     }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use echofix_core::evidence::build::{Chunk, RawUpload};
 use echofix_core::scan::Mount;
+use echofix_core::time::{DAY_US, day_of};
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{EvidenceChunk, UploadChunk, UploadHeader, UploadRequest};
 use prost::Message;
@@ -11,9 +12,8 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::Status;
 use uuid::Uuid;
 
-use super::DAY_US;
 use super::evidence::Evidence;
-use crate::grpc::violation::{Violation, require, required};
+use crate::grpc::invalid_field::{InvalidField, require, required};
 use crate::grpc::{decode, now_us, status};
 use crate::mapping::MappingConfig;
 
@@ -23,15 +23,15 @@ const MAX_SCANS: usize = 65_536;
 const MAX_POSES: usize = 262_144;
 
 /// An upload whose columns are sound.
-pub(super) struct Received {
+pub(super) struct ReceivedUpload {
     pub(super) id: Uuid,
     pub(super) contributor: String,
     pub(super) day: u16,
-    pub(super) body: Body,
+    pub(super) body: UploadBody,
 }
 
 /// What an upload holds.
-pub(super) enum Body {
+pub(super) enum UploadBody {
     Scans(RawUpload),
     Evidence(Evidence),
 }
@@ -41,12 +41,12 @@ pub(super) async fn all(
     mut requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
     config: &MappingConfig,
     stall: Duration,
-) -> Result<Received, Status> {
+) -> Result<ReceivedUpload, Status> {
     let invalid = |violation| status::invalid(&violation);
     let Some(Part::Header(header)) = next(&mut requests, stall).await? else {
-        return Err(invalid(Violation::new("header", "must be the first message")));
+        return Err(invalid(InvalidField::new("header", "must be the first message")));
     };
-    let mut receiving = Receiving::of(&header, config).map_err(invalid)?;
+    let mut receiving = UploadReceiver::of(&header, config).map_err(invalid)?;
     while let Some(part) = next(&mut requests, stall).await? {
         receiving.take(part).map_err(invalid)?;
     }
@@ -66,45 +66,45 @@ async fn next(
 }
 
 /// An upload whose messages are still coming.
-struct Receiving<'a> {
+struct UploadReceiver<'a> {
     config: &'a MappingConfig,
     id: Uuid,
     reference_time_us: i64,
     mounts: Vec<Mount>,
-    size: Size,
+    size: UploadSize,
     chunks: Vec<Chunk>,
     evidence: Evidence,
 }
 
-impl<'a> Receiving<'a> {
-    fn of(header: &UploadHeader, config: &'a MappingConfig) -> Result<Self, Violation> {
+impl<'a> UploadReceiver<'a> {
+    fn of(header: &UploadHeader, config: &'a MappingConfig) -> Result<Self, InvalidField> {
         let named = Uuid::try_parse(&header.upload_id);
-        let id = named.map_err(|e| Violation::new("header.upload_id", format!("is not a UUID: {e}")))?;
+        let id = named.map_err(|e| InvalidField::new("header.upload_id", format!("is not a UUID: {e}")))?;
         let length = header.contributor.chars().count();
         require((1..=64).contains(&length), "header.contributor", "must have 1 to 64 characters")?;
         decode::reference_time(header.reference_time_us, "header.reference_time_us")?;
         let tomorrow = now_us() / DAY_US + 1;
-        let told = "lies in the future; check the vehicle's clock";
-        require(header.reference_time_us / DAY_US <= tomorrow, "header.reference_time_us", told)?;
+        let rule = "lies in the future; check the vehicle's clock";
+        require(header.reference_time_us / DAY_US <= tomorrow, "header.reference_time_us", rule)?;
         let mounts = match &header.mounts[..] {
             [] => Vec::new(),
             mounts => decode::mounts(mounts, "header.mounts")?,
         };
-        let (size, chunks, evidence) = (Size::default(), Vec::new(), Evidence::default());
+        let (size, chunks, evidence) = (UploadSize::default(), Vec::new(), Evidence::default());
         Ok(Self { config, id, reference_time_us: header.reference_time_us, mounts, size, chunks, evidence })
     }
 
-    fn take(&mut self, part: Part) -> Result<(), Violation> {
+    fn take(&mut self, part: Part) -> Result<(), InvalidField> {
         match part {
-            Part::Header(_) => Err(Violation::new("header", "must be the first message only")),
+            Part::Header(_) => Err(InvalidField::new("header", "must be the first message only")),
             Part::Chunk(chunk) => self.scans(chunk),
             Part::Evidence(chunk) => self.evidence(&chunk),
         }
     }
 
-    fn scans(&mut self, chunk: UploadChunk) -> Result<(), Violation> {
+    fn scans(&mut self, chunk: UploadChunk) -> Result<(), InvalidField> {
         require(self.evidence.is_empty(), "chunk", "comes after evidence; send chunks of one kind")?;
-        require(!self.mounts.is_empty(), "header.mounts", "is empty; send the place of every radar")?;
+        require(!self.mounts.is_empty(), "header.mounts", "is empty; send the mount of every radar")?;
         self.size.add(&chunk);
         self.size.check(self.config)?;
         let scans = required(chunk.scans, "chunk.scans")?;
@@ -119,36 +119,36 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    fn evidence(&mut self, chunk: &EvidenceChunk) -> Result<(), Violation> {
+    fn evidence(&mut self, chunk: &EvidenceChunk) -> Result<(), InvalidField> {
         require(self.chunks.is_empty(), "evidence", "comes after scans; send chunks of one kind")?;
         self.size.bytes += chunk.encoded_len();
         self.size.check(self.config)?;
         self.evidence.add(chunk)
     }
 
-    fn finish(self, header: &UploadHeader) -> Result<Received, Violation> {
+    fn finish(self, header: &UploadHeader) -> Result<ReceivedUpload, InvalidField> {
         let sent = !self.chunks.is_empty() || !self.evidence.is_empty();
         require(sent, "chunk", "is missing; send at least one")?;
-        let day = (self.reference_time_us / DAY_US) as u16;
+        let day = day_of(self.reference_time_us);
         let body = if self.chunks.is_empty() {
-            Body::Evidence(self.evidence)
+            UploadBody::Evidence(self.evidence)
         } else {
-            Body::Scans(RawUpload { mounts: self.mounts, chunks: self.chunks })
+            UploadBody::Scans(RawUpload { mounts: self.mounts, chunks: self.chunks })
         };
-        Ok(Received { id: self.id, contributor: header.contributor.clone(), day, body })
+        Ok(ReceivedUpload { id: self.id, contributor: header.contributor.clone(), day, body })
     }
 }
 
 /// What an upload holds so far.
 #[derive(Debug, Default)]
-struct Size {
+struct UploadSize {
     bytes: usize,
     scans: usize,
     poses: usize,
     detections: usize,
 }
 
-impl Size {
+impl UploadSize {
     fn add(&mut self, chunk: &UploadChunk) {
         self.bytes += chunk.encoded_len();
         self.scans += chunk.scans.as_ref().map_or(0, |scans| scans.sensor.len());
@@ -156,7 +156,7 @@ impl Size {
         self.detections += chunk.scans.as_ref().map_or(0, |scans| scans.range_m.len());
     }
 
-    fn check(&self, config: &MappingConfig) -> Result<(), Violation> {
+    fn check(&self, config: &MappingConfig) -> Result<(), InvalidField> {
         let limits = [
             ("chunk", self.bytes, config.max_upload_bytes, "bytes"),
             ("chunk.scans", self.scans, MAX_SCANS, "scans"),
@@ -170,11 +170,11 @@ impl Size {
 }
 
 /// The votes of an upload count for the day of its reference time, so nothing in it may lie far off.
-fn same_day(offsets_us: &[i64], field: &str) -> Result<(), Violation> {
+fn same_day(offsets_us: &[i64], field: &str) -> Result<(), InvalidField> {
     match offsets_us.iter().position(|offset| !(-DAY_US..=DAY_US).contains(offset)) {
         Some(row) => {
-            let told = "lies more than 24 h from the upload's reference time; split the upload";
-            Err(Violation::new(format!("{field}[{row}]"), told))
+            let rule = "lies more than 24 h from the upload's reference time; split the upload";
+            Err(InvalidField::new(format!("{field}[{row}]"), rule))
         }
         None => Ok(()),
     }
@@ -188,7 +188,7 @@ mod tests {
 
     /// The field at fault once `count` such chunks were sent.
     fn refused(chunk: &UploadChunk, count: usize) -> Option<String> {
-        let mut size = Size::default();
+        let mut size = UploadSize::default();
         (0..count).for_each(|_| size.add(chunk));
         size.check(&MappingConfig::default()).err().map(|violation| violation.field)
     }
@@ -214,7 +214,7 @@ mod tests {
                 reference_time_us: now_us() + days * DAY_US,
                 mounts: vec![SensorMount::default()],
             };
-            Receiving::of(&header, &MappingConfig::default()).map(|_| ())
+            UploadReceiver::of(&header, &MappingConfig::default()).map(|_| ())
         };
         assert!(after(-300).is_ok() && after(0).is_ok());
         let violation = after(3).err().unwrap();

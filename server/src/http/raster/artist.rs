@@ -8,8 +8,8 @@ use echofix_core::geo::TileId;
 use moka::sync::Cache;
 
 use super::plane::Plane;
-use super::scene::{PLACE_SHIFT, Scene, TILES_FROM};
-use super::summary::{self, Summary};
+use super::summary::{self, TileSummary};
+use super::view_content::{SPOT_SHIFT, TILES_FROM, ViewContent};
 use super::{Layer, Overview, Spot, View, palette};
 use crate::http::error::Error;
 use crate::locating::Expectations;
@@ -23,8 +23,8 @@ const SUMMARIES: u64 = 64 << 20;
 const OVERVIEW_EVERY: Duration = Duration::from_secs(1);
 
 /// The answer to a request for a map tile.
-pub struct Answer {
-    /// Names the picture.
+pub struct Picture {
+    /// The picture's entity tag.
     pub tag: String,
     /// The picture; absent when the one asked about is still right.
     pub png: Option<Bytes>,
@@ -35,7 +35,7 @@ pub struct Artist {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
     pictures: Cache<(Layer, View), (String, Bytes)>,
-    summaries: Cache<TileId, (u64, Arc<Summary>)>,
+    summaries: Cache<TileId, (u64, Arc<TileSummary>)>,
     overview: Mutex<Option<(Instant, Arc<Overview>)>>,
 }
 
@@ -51,7 +51,7 @@ impl Artist {
                 .build(),
             summaries: Cache::builder()
                 .max_capacity(SUMMARIES)
-                .weigher(|_, (_, summary): &(u64, Arc<Summary>)| summary.weight() as u32)
+                .weigher(|_, (_, summary): &(u64, Arc<TileSummary>)| summary.weight() as u32)
                 .build(),
             overview: Mutex::new(None),
         }
@@ -61,24 +61,24 @@ impl Artist {
     ///
     /// # Errors
     /// When the store refuses.
-    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Answer, Error> {
-        let scene = match view.z {
-            z if z < layer.min_zoom() => Scene::Near(Vec::new()),
-            z if z < TILES_FROM => Scene::Far(self.overview()?),
-            _ => Scene::near(&*self.store, layer, &view)?,
+    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Picture, Error> {
+        let content = match view.z {
+            z if z < layer.min_zoom() => ViewContent::Near(Vec::new()),
+            z if z < TILES_FROM => ViewContent::Far(self.overview()?),
+            _ => ViewContent::near(&*self.store, layer, &view)?,
         };
         let newest_day = self.store.totals().newest_day;
-        let tag = scene.tag(layer, &view, self.store.lineage(), newest_day);
+        let tag = content.tag(layer, &view, self.store.lineage(), newest_day);
         if is_known(&tag) {
-            return Ok(Answer { tag, png: None });
+            return Ok(Picture { tag, png: None });
         }
-        if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(kept, _)| *kept == tag) {
-            return Ok(Answer { tag, png: Some(png) });
+        if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(cached, _)| *cached == tag) {
+            return Ok(Picture { tag, png: Some(png) });
         }
-        let spots = scene.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
+        let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
         let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
         self.pictures.insert((layer, view), (tag.clone(), png.clone()));
-        Ok(Answer { tag, png: Some(png) })
+        Ok(Picture { tag, png: Some(png) })
     }
 
     /// The whole map from far away, at most a second old or of the newest epoch.
@@ -87,26 +87,26 @@ impl Artist {
     /// When the store refuses.
     pub fn overview(&self) -> Result<Arc<Overview>, Error> {
         let epoch = self.store.progress().borrow().epoch;
-        // Held while it is made: a crowd waits for one instead of making many.
-        let mut kept = lock(&self.overview);
-        if let Some((made, overview)) = &*kept
+        // Held while it is made: requests at the same time wait for one instead of making many.
+        let mut cached = lock(&self.overview);
+        if let Some((made, overview)) = &*cached
             && (overview.epoch == epoch || made.elapsed() < OVERVIEW_EVERY)
         {
             return Ok(Arc::clone(overview));
         }
         let overview = Arc::new(Overview::of(&*self.store)?);
-        *kept = Some((Instant::now(), Arc::clone(&overview)));
+        *cached = Some((Instant::now(), Arc::clone(&overview)));
         Ok(overview)
     }
 
-    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or place by place,
+    /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or spot by spot,
     /// where it is shown what can be expected of fixes.
     fn fetch(&self, layer: Layer, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
         if layer == Layer::Localizability {
             if let Some(expected) = self.expectations.tile(tile.id)? {
-                let spot = |place| Spot::of_expected(place, self.expectations.verdict(place));
-                let found = expected.places().map(|(x, y, place)| (x as u32, y as u32, spot(place)));
-                plane.add(tile.id, PLACE_SHIFT, found);
+                let spot = |expected| Spot::of_expected(expected, self.expectations.verdict(expected));
+                let found = expected.spots().map(|(x, y, expected)| (x as u32, y as u32, spot(expected)));
+                plane.add(tile.id, SPOT_SHIFT, found);
             }
         } else if plane.shift() >= summary::SHIFT {
             if let Some(summary) = self.summary(tile)? {
@@ -118,15 +118,15 @@ impl Artist {
         Ok(())
     }
 
-    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<Summary>>, Error> {
-        let kept = self.summaries.get(&tile.id);
-        if let Some((version, summary)) = kept
+    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<TileSummary>>, Error> {
+        let cached = self.summaries.get(&tile.id);
+        if let Some((version, summary)) = cached
             && version >= tile.version
         {
             return Ok(Some(summary));
         }
         let Some(stored) = self.store.tile(tile.id)? else { return Ok(None) };
-        let summary = Arc::new(Summary::of(&stored.tile));
+        let summary = Arc::new(TileSummary::of(&stored.tile));
         self.summaries.insert(tile.id, (stored.version, Arc::clone(&summary)));
         Ok(Some(summary))
     }

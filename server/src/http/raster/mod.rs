@@ -11,9 +11,9 @@ mod layer;
 mod overview;
 mod palette;
 mod plane;
-mod scene;
 mod summary;
 mod view;
+mod view_content;
 
 pub use artist::Artist;
 pub use layer::Layer;
@@ -46,13 +46,13 @@ impl Spot {
         Self { level: level as u8, day: cell.last_day }
     }
 
-    /// A place known by the number of its occupied cells only; `full` of them shine brightest.
+    /// A spot known by the number of its occupied cells only; `full` of them shine brightest.
     fn of_count(cells: u32, full: f64, day: u16) -> Self {
-        let share = (f64::from(cells).ln_1p() / full.ln_1p()).min(1.0);
-        Self { level: (30.0 + 190.0 * share * share) as u8, day }
+        let fraction = (f64::from(cells).ln_1p() / full.ln_1p()).min(1.0);
+        Self { level: (30.0 + 190.0 * fraction * fraction) as u8, day }
     }
 
-    /// A place by what can be expected of fixes there.
+    /// A spot by what can be expected of fixes there.
     fn of_expected(expected: &Localizability, verdict: Expected) -> Self {
         let level = match verdict {
             Expected::TooLittleStructure => TOO_LITTLE,

@@ -25,11 +25,11 @@ pub struct Overview {
     pub epoch: u64,
     /// Tiles by zone.
     pub zones: Vec<(Zone, u64)>,
-    blocks: Vec<Block>,
+    blocks: Vec<OverviewBlock>,
 }
 
 /// Some neighbouring tiles.
-struct Block {
+struct OverviewBlock {
     /// West, south, east, north.
     bounds: [f64; 4],
     /// The north-west and the south-east corner on the Mercator square.
@@ -113,7 +113,7 @@ fn gather(catalog: &[TileInfo]) -> BTreeMap<[i32; 2], Gathered> {
 
 impl Gathered {
     /// The block on the globe; nothing where it lies in another zone altogether, which shows it too.
-    fn placed(&self, grid: &Grid) -> Result<Option<Block>, Error> {
+    fn placed(&self, grid: &Grid) -> Result<Option<OverviewBlock>, Error> {
         let corners = corners(grid, self.low, self.high)?;
         if !corners.iter().any(|at| Zone::of(*at) == Ok(grid.zone())) {
             return Ok(None);
@@ -129,7 +129,7 @@ impl Gathered {
         ];
         let [w, s, e, n] = bounds;
         let corners = [[w, n], [e, s]].map(|[lon_deg, lat_deg]| mercator(LatLon { lat_deg, lon_deg }));
-        Ok(Some(Block { bounds, corners, cells: self.cells, version: self.version, day: self.day }))
+        Ok(Some(OverviewBlock { bounds, corners, cells: self.cells, version: self.version, day: self.day }))
     }
 }
 

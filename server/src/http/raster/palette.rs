@@ -36,9 +36,9 @@ const AGE: [(u8, [u8; 3]); 5] = [
     (180, [158, 62, 70]),
 ];
 
-/// Level of a place where too little stands for a fix.
+/// Level of a spot where too little stands for a fix.
 pub const TOO_LITTLE: u8 = 1;
-/// Level of a place that looks like another one.
+/// Level of a spot that looks like another one.
 pub const AMBIGUOUS: u8 = 40;
 /// Sigmas of a fix that is just usable and of one as good as they get, metres, and their levels.
 const SIGMAS_M: [f64; 2] = [0.5, 0.1];
@@ -54,17 +54,17 @@ const LOCALIZABILITY: [(u8, Rgba); 6] = [
     (SIGMA_LEVELS[1], [196, 255, 214, 175]),
 ];
 
-/// The level of a usable place by its sigma along the weakest axis: of equal ratios equal steps.
+/// The level of a usable spot by its sigma along the weakest axis: of equal ratios equal steps.
 pub fn level_of_sigma(sigma_m: f64) -> u8 {
     let [worst, best] = SIGMAS_M;
-    let share = ((worst / sigma_m).ln() / (worst / best).ln()).clamp(0.0, 1.0);
+    let fraction = ((worst / sigma_m).ln() / (worst / best).ln()).clamp(0.0, 1.0);
     let [low, high] = SIGMA_LEVELS.map(f64::from);
-    (low + share * (high - low)).round() as u8
+    (low + fraction * (high - low)).round() as u8
 }
 
 /// An entry of a layer's legend.
 #[derive(Debug, Serialize)]
-pub struct Entry {
+pub struct LegendEntry {
     /// What the colour stands for.
     pub label: String,
     /// `#rrggbb`
@@ -72,8 +72,8 @@ pub struct Entry {
 }
 
 /// What the colours of a layer stand for.
-pub fn legend(layer: Layer) -> Vec<Entry> {
-    let entry = |label: &str, color: &[u8]| Entry {
+pub fn legend(layer: Layer) -> Vec<LegendEntry> {
+    let entry = |label: &str, color: &[u8]| LegendEntry {
         label: label.to_owned(),
         color: format!("#{:02x}{:02x}{:02x}", color[0], color[1], color[2]),
     };
@@ -121,7 +121,7 @@ fn age(spot: Spot, newest_day: u16) -> Rgba {
     [r, g, b, 110 + (u16::from(spot.level) * 145 / 255) as u8]
 }
 
-/// The colour at a place of a ramp, interpolated.
+/// The colour at a level of a ramp, interpolated.
 fn along<const N: usize>(ramp: &[(u8, [u8; N])], at: u8) -> [u8; N] {
     let above = ramp.iter().position(|(stop, _)| *stop >= at).unwrap_or(ramp.len() - 1);
     let (stop_b, b) = ramp[above];
@@ -129,8 +129,8 @@ fn along<const N: usize>(ramp: &[(u8, [u8; N])], at: u8) -> [u8; N] {
     if stop_b <= stop_a || at >= stop_b {
         return b;
     }
-    let share = f32::from(at.saturating_sub(stop_a)) / f32::from(stop_b - stop_a);
-    std::array::from_fn(|i| (f32::from(a[i]) + share * (f32::from(b[i]) - f32::from(a[i]))).round() as u8)
+    let fraction = f32::from(at.saturating_sub(stop_a)) / f32::from(stop_b - stop_a);
+    std::array::from_fn(|i| (f32::from(a[i]) + fraction * (f32::from(b[i]) - f32::from(a[i]))).round() as u8)
 }
 
 /// A picture of a layer as PNG; `spots` row by row from the north-west.

@@ -10,11 +10,11 @@ pub const SHIFT: u32 = 4;
 const BLOCKS: u32 = 1 << (TILE_SHIFT - SHIFT);
 
 /// The occupied blocks of a tile.
-pub struct Summary {
+pub struct TileSummary {
     blocks: Box<[(u16, Spot)]>,
 }
 
-impl Summary {
+impl TileSummary {
     /// Pools a tile.
     pub fn of(tile: &Tile) -> Self {
         let mut all = vec![Spot::NOTHING; (BLOCKS * BLOCKS) as usize];

@@ -16,11 +16,11 @@ const STEP: usize = 8;
 /// A tile of the Web-Mercator pyramid (z/x/y, y from the north) as a square of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct View {
-    /// Zoom.
+    /// Zoom level: the world is 2^z tiles wide.
     pub z: u8,
-    /// Tiles east.
+    /// Column, counted eastward from 180 degrees west.
     pub x: u32,
-    /// Tiles south.
+    /// Row, counted southward from the north.
     pub y: u32,
     /// Pixels along a side: 256, or 512 for dense screens.
     pub side: usize,
@@ -81,12 +81,12 @@ fn unmercator([x, y]: [f64; 2]) -> LatLon {
 }
 
 /// A view's pixels on a zone's plane: projected at every eighth pixel, interpolated between.
-pub struct Lattice {
+pub struct PixelGrid {
     nodes: Vec<[f64; 2]>,
     per_side: usize,
 }
 
-impl Lattice {
+impl PixelGrid {
     /// Projects the nodes.
     ///
     /// # Errors
@@ -144,9 +144,9 @@ mod tests {
         ) {
             let view = over(LatLon { lat_deg, lon_deg }, z, 256);
             let grid = Grid::of(view.at(128.0, 128.0)).unwrap();
-            let lattice = Lattice::new(&view, &grid).unwrap();
+            let pixel_grid = PixelGrid::new(&view, &grid).unwrap();
             let exact = grid.project(view.at(px, py)).unwrap();
-            let near = lattice.at(px, py);
+            let near = pixel_grid.at(px, py);
             let error = (exact[0] - near[0]).hypot(exact[1] - near[1]);
             prop_assert!(error < 0.05, "{error} m at {view:?}");
         }
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_tile_covers_a_known_place() {
+    fn a_known_tile_covers_a_known_position() {
         // A quarter of the square down lies gd(pi / 2) = 66.513 26 degrees north.
         let row = |lat_deg| over(LatLon { lat_deg, lon_deg: 90.1 }, 2, 256);
         assert_eq!(row(66.514), View { z: 2, x: 3, y: 0, side: 256 });

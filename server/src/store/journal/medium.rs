@@ -35,7 +35,7 @@ impl Medium for File {
 }
 
 /// The newest segment, its records up to `length` on disk.
-pub(super) struct Segment {
+pub(super) struct LogSegment {
     pub(super) dir: PathBuf,
     pub(super) journal: Uuid,
     pub(super) first: u64,
@@ -43,7 +43,7 @@ pub(super) struct Segment {
     pub(super) medium: Box<dyn Medium>,
 }
 
-impl Segment {
+impl LogSegment {
     /// A new, empty segment: its header and its name are on disk.
     pub(super) fn create(dir: &Path, journal: Uuid, first: u64) -> Result<Self, Error> {
         let path = segment::path(dir, first);

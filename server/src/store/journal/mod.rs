@@ -18,17 +18,18 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use tracing::Span;
 use uuid::Uuid;
 
-use super::entry::Note;
+use super::entry::RecordMeta;
 use super::faults::{Fault, fault};
 use super::{Error, io_error};
-use medium::Segment;
-use writer::{Append, Writer};
+use medium::LogSegment;
+use writer::{Append, JournalWriter};
 
 /// Where a record lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Position {
+pub(super) struct RecordPosition {
     /// Number of the segment's first record.
     pub(super) segment: u64,
     /// Byte of the payload.
@@ -42,11 +43,11 @@ pub(super) struct Position {
 pub(super) struct Written {
     /// 1 for the journal's first record.
     pub(super) number: u64,
-    pub(super) at: Position,
+    pub(super) at: RecordPosition,
 }
 
 /// A file to copy: its name in the archive, and how many bytes of it.
-pub(super) struct Part {
+pub(super) struct BackupPart {
     pub(super) name: String,
     pub(super) file: File,
     pub(super) length: u64,
@@ -60,14 +61,14 @@ pub(super) struct Journal {
 }
 
 /// The journal as it was found on disk.
-pub(super) struct Found {
+pub(super) struct RecoveredJournal {
     id: Uuid,
-    segment: Segment,
+    segment: LogSegment,
     next: u64,
 }
 
-impl Found {
-    /// The journal's own name, to tell whether tiles were folded from it.
+impl RecoveredJournal {
+    /// The journal's own name, by which tiles that were folded from it are recognised.
     pub(super) fn id(&self) -> Uuid {
         self.id
     }
@@ -86,14 +87,14 @@ impl Journal {
     pub(super) fn recover(
         dir: &Path,
         mut visit: impl FnMut(Written, &[u8]) -> Result<(), Error>,
-    ) -> Result<Found, Error> {
+    ) -> Result<RecoveredJournal, Error> {
         let mut firsts = segments(dir)?;
         drop_unfinished(dir, &mut firsts)?;
         let Some(&newest) = firsts.last() else {
             let id = Uuid::now_v7();
-            return Ok(Found { id, segment: Segment::create(dir, id, 1)?, next: 1 });
+            return Ok(RecoveredJournal { id, segment: LogSegment::create(dir, id, 1)?, next: 1 });
         };
-        // Older ones were settled: whether something covers them, the store knows.
+        // Older ones were compacted: whether something covers them, the store knows.
         let (mut id, mut next, mut length) = (None, firsts[0], 0);
         for first in firsts {
             let path = segment::path(dir, first);
@@ -107,7 +108,7 @@ impl Journal {
             let mut result = Ok(());
             let sound = recover::walk(&bytes, first, first == newest, |offset, record| {
                 let offset = (offset + segment::RECORD_HEADER) as u32;
-                let at = Position { segment: first, offset, length: record.payload.len() as u32 };
+                let at = RecordPosition { segment: first, offset, length: record.payload.len() as u32 };
                 if result.is_ok() {
                     result = visit(Written { number: record.number, at }, record.payload);
                 }
@@ -120,7 +121,7 @@ impl Journal {
             (next, length) = (sound.next, sound.length);
         }
         let id = id.unwrap_or_default();
-        Ok(Found { id, segment: Segment::reopen(dir, id, newest, length as u64)?, next })
+        Ok(RecoveredJournal { id, segment: LogSegment::reopen(dir, id, newest, length as u64)?, next })
     }
 
     /// Does a journal hold anything beyond its headers?
@@ -134,17 +135,17 @@ impl Journal {
         Ok(false)
     }
 
-    /// Starts writing; `day` is the one the newest record was written on. `deliver` is told of every
+    /// Starts writing; `day` is the one the newest record was written on. `deliver` gets every
     /// record in order, once it is on disk and before its append returns.
     pub(super) fn start(
         dir: &Path,
-        found: Found,
+        found: RecoveredJournal,
         day: Option<u16>,
         segment_bytes: u64,
-        deliver: impl FnMut(Note, Written) + Send + 'static,
+        deliver: impl FnMut(RecordMeta, Written) + Send + 'static,
     ) -> Result<Self, Error> {
         let (sender, receiver) = mpsc::channel();
-        let writer = Writer::new(found.segment, found.next, day, segment_bytes, Box::new(deliver));
+        let writer = JournalWriter::new(found.segment, found.next, day, segment_bytes, Box::new(deliver));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
         Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
@@ -155,10 +156,10 @@ impl Journal {
     ///
     /// # Errors
     /// When that is not certain.
-    pub(super) fn append(&self, note: Note, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
-        let outcome = self.send(note, fresh, payload)?;
+    pub(super) fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
+        let outcome = self.send(meta, fresh, payload)?;
         if fault() == Some(Fault::AckBeforeWrite) {
-            let nowhere = Position { segment: 0, offset: 0, length: 0 };
+            let nowhere = RecordPosition { segment: 0, offset: 0, length: 0 };
             return Ok(Written { number: 0, at: nowhere });
         }
         outcome.recv().map_err(|_| gone())?
@@ -168,22 +169,23 @@ impl Journal {
     ///
     /// # Errors
     /// When that is not certain for any of them.
-    pub(super) fn append_all(&self, records: Vec<(Note, Vec<u8>)>) -> Result<Vec<Written>, Error> {
-        let sent = records.into_iter().map(|(note, payload)| self.send(note, false, payload));
+    pub(super) fn append_all(&self, records: Vec<(RecordMeta, Vec<u8>)>) -> Result<Vec<Written>, Error> {
+        let sent = records.into_iter().map(|(meta, payload)| self.send(meta, false, payload));
         let outcomes = sent.collect::<Result<Vec<_>, _>>()?;
         outcomes.into_iter().map(|outcome| outcome.recv().map_err(|_| gone())?).collect()
     }
 
     fn send(
         &self,
-        note: Note,
+        meta: RecordMeta,
         fresh: bool,
         payload: Vec<u8>,
     ) -> Result<Receiver<Result<Written, Error>>, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
         let sender = self.sender.as_ref().ok_or_else(gone)?;
         let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        sender.send(Append { note, fresh, payload, done }).map_err(|_| gone())?;
+        let span = Span::current();
+        sender.send(Append { meta, fresh, payload, span, done }).map_err(|_| gone())?;
         Ok(outcome)
     }
 
@@ -197,7 +199,7 @@ impl Journal {
         let covered = firsts.iter().zip(firsts.iter().skip(1)).filter(|(_, next)| **next <= last + 1);
         for (first, _) in covered {
             fs::remove_file(segment::path(&self.dir, *first))
-                .map_err(io_error("deleting a settled segment"))?;
+                .map_err(io_error("deleting a compacted segment"))?;
         }
         File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
     }
@@ -206,7 +208,7 @@ impl Journal {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub(super) fn parts(&self, last: Option<Position>) -> Result<Vec<Part>, Error> {
+    pub(super) fn parts(&self, last: Option<RecordPosition>) -> Result<Vec<BackupPart>, Error> {
         let opening = "opening a journal segment";
         let mut parts = Vec::new();
         for first in segments(&self.dir)? {
@@ -219,14 +221,14 @@ impl Journal {
                 _ => whole,
             };
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-            parts.push(Part { name: format!("journal/{}", name.unwrap_or_default()), file, length });
+            parts.push(BackupPart { name: format!("journal/{}", name.unwrap_or_default()), file, length });
         }
         Ok(parts)
     }
 
     /// Payloads of records, read with as few opened files as their order allows.
-    pub(super) fn reader(&self) -> Reader<'_> {
-        Reader { dir: &self.dir, open: None }
+    pub(super) fn reader(&self) -> RecordReader<'_> {
+        RecordReader { dir: &self.dir, open: None }
     }
 }
 
@@ -234,24 +236,24 @@ impl Drop for Journal {
     fn drop(&mut self) {
         self.sender = None;
         if let Some(writer) = self.writer.take() {
-            // It logged its own end; there is nobody left to tell.
+            // It logged its own end.
             let _ = writer.join();
         }
     }
 }
 
 /// Reads records.
-pub(super) struct Reader<'a> {
+pub(super) struct RecordReader<'a> {
     dir: &'a Path,
     open: Option<(u64, File)>,
 }
 
-impl Reader<'_> {
+impl RecordReader<'_> {
     /// The payload of a record, checked against its checksum.
     ///
     /// # Errors
     /// When the disk refuses or the record is damaged.
-    pub(super) fn payload(&mut self, at: Position) -> Result<Vec<u8>, Error> {
+    pub(super) fn payload(&mut self, at: RecordPosition) -> Result<Vec<u8>, Error> {
         let path = segment::path(self.dir, at.segment);
         let file = match self.open.take() {
             Some((segment, file)) if segment == at.segment => file,

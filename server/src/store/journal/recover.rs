@@ -2,10 +2,10 @@
 //!
 //! A crash can leave the newest group of records half written: these were never acknowledged and
 //! are cut off. Anything else that does not pass its checks is damage to acknowledged uploads, and
-//! an error. The two are told apart by the records behind the bad place: one that was written when
+//! an error. The two are distinguished by the records behind the bad one: one that was written when
 //! the bad one was already on disk proves damage.
 
-use super::segment::{self, HEADER, Record};
+use super::segment::{self, FramedRecord, HEADER};
 
 /// A sound segment, or the sound beginning of one.
 #[derive(Debug, PartialEq, Eq)]
@@ -24,12 +24,12 @@ pub(super) struct Damage {
 }
 
 /// Walks over the records of a segment whose first record must be `first`, giving each with its
-/// place. Only the `last` segment may end in a torn write.
+/// offset. Only the `last` segment may end in a torn write.
 pub(super) fn walk(
     bytes: &[u8],
     first: u64,
     last: bool,
-    mut visit: impl FnMut(usize, &Record<'_>),
+    mut visit: impl FnMut(usize, &FramedRecord<'_>),
 ) -> Result<Sound, Damage> {
     let mut sound = Sound { next: first, length: HEADER };
     while sound.length < bytes.len() {

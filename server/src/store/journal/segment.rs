@@ -13,9 +13,13 @@ use std::path::{Path, PathBuf};
 
 use uuid::Uuid;
 
+use crate::store::checksum::{seal, sealed};
+
 const MAGIC: [u8; 4] = *b"EFJ\x01";
 /// Bytes of a segment's header.
 pub(super) const HEADER: usize = 32;
+/// Bytes of a record's length, which precedes its checksummed frame.
+const LENGTH: usize = 4;
 /// Bytes of a record before its payload.
 pub(super) const RECORD_HEADER: usize = 24;
 
@@ -37,8 +41,7 @@ pub(super) fn header(journal: Uuid, first: u64) -> [u8; HEADER] {
     bytes[..4].copy_from_slice(&MAGIC);
     bytes[8..16].copy_from_slice(&first.to_le_bytes());
     bytes[16..].copy_from_slice(journal.as_bytes());
-    let checksum = crc32c::crc32c(&bytes[8..]);
-    bytes[4..8].copy_from_slice(&checksum.to_le_bytes());
+    seal(&mut bytes[4..], &[]);
     bytes
 }
 
@@ -57,19 +60,19 @@ pub(super) fn put_record(out: &mut Vec<u8>, number: u64, synced: u64, payload: &
     out.extend_from_slice(&number.to_le_bytes());
     out.extend_from_slice(&synced.to_le_bytes());
     out.extend_from_slice(payload);
-    let checksum = checksum(&out[start..]);
-    out[start + 4..start + 8].copy_from_slice(&checksum.to_le_bytes());
+    let (length, frame) = out[start..].split_at_mut(LENGTH);
+    seal(frame, length);
 }
 
 /// A record as it is on disk.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Record<'a> {
+pub(super) struct FramedRecord<'a> {
     pub(super) number: u64,
     pub(super) synced: u64,
     pub(super) payload: &'a [u8],
 }
 
-impl Record<'_> {
+impl FramedRecord<'_> {
     /// Bytes on disk.
     pub(super) fn len(&self) -> usize {
         RECORD_HEADER + self.payload.len()
@@ -77,24 +80,17 @@ impl Record<'_> {
 }
 
 /// The record at the start of the bytes; `None` when it is cut short or damaged.
-pub(super) fn parse_record(bytes: &[u8]) -> Option<Record<'_>> {
+pub(super) fn parse_record(bytes: &[u8]) -> Option<FramedRecord<'_>> {
     let length = u32_at(bytes, 0)? as usize;
     let record = bytes.get(..RECORD_HEADER.checked_add(length)?)?;
-    let sound = checksum(record) == u32_at(record, 4)?;
-    sound.then_some(Record {
-        number: u64_at(record, 8)?,
-        synced: u64_at(record, 16)?,
-        payload: &record[RECORD_HEADER..],
-    })
+    let (length, frame) = record.split_at_checked(LENGTH)?;
+    let rest = sealed(frame, length)?;
+    Some(FramedRecord { number: u64_at(rest, 0)?, synced: u64_at(rest, 8)?, payload: &rest[16..] })
 }
 
 /// The number a record at the start of the bytes would have, unchecked.
 pub(super) fn peek_number(bytes: &[u8]) -> Option<u64> {
     u64_at(bytes, 8)
-}
-
-fn checksum(record: &[u8]) -> u32 {
-    crc32c::crc32c_append(crc32c::crc32c(&record[..4]), &record[8..])
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
@@ -116,7 +112,7 @@ mod tests {
             let mut bytes = Vec::new();
             put_record(&mut bytes, 7, 6, &payload);
             prop_assert_eq!(
-                parse_record(&bytes), Some(Record { number: 7, synced: 6, payload: &payload })
+                parse_record(&bytes), Some(FramedRecord { number: 7, synced: 6, payload: &payload })
             );
             let at = at.index(bytes.len());
             prop_assert_eq!(parse_record(&bytes[..at]), None);

@@ -1,5 +1,5 @@
 use super::*;
-use crate::store::entry::What;
+use crate::store::entry::RecordSubject;
 
 fn open(dir: &Path, segment_bytes: u64) -> Result<(Journal, Vec<Vec<u8>>), Error> {
     let mut payloads = Vec::new();
@@ -11,11 +11,11 @@ fn open(dir: &Path, segment_bytes: u64) -> Result<(Journal, Vec<Vec<u8>>), Error
 }
 
 fn append(journal: &Journal, payload: &[u8]) -> Written {
-    journal.append(note(1), false, payload.to_vec()).unwrap()
+    journal.append(meta(1), false, payload.to_vec()).unwrap()
 }
 
-fn note(day: u16) -> Note {
-    Note { day, what: What::Upload { id: Uuid::nil(), contributor: 1 } }
+fn meta(day: u16) -> RecordMeta {
+    RecordMeta { day, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } }
 }
 
 #[test]
@@ -23,9 +23,9 @@ fn days_and_fresh_records_begin_segments_and_covered_ones_are_deleted() {
     let dir = tempfile::tempdir().unwrap();
     let (journal, _) = open(dir.path(), 1 << 20).unwrap();
     for day in [7, 7, 8, 8, 8, 7] {
-        journal.append(note(day), false, vec![1]).unwrap();
+        journal.append(meta(day), false, vec![1]).unwrap();
     }
-    journal.append(note(7), true, vec![1]).unwrap();
+    journal.append(meta(7), true, vec![1]).unwrap();
     assert_eq!(segments(dir.path()).unwrap(), [1, 3, 6, 7]);
     journal.delete_up_to(4).unwrap();
     assert_eq!(segments(dir.path()).unwrap(), [3, 6, 7], "a segment goes when all of it is covered");

@@ -3,11 +3,13 @@
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender};
 
-use super::medium::Segment;
+use tracing::Span;
+
+use super::medium::LogSegment;
 use super::segment::{self, RECORD_HEADER};
-use super::{Position, Written};
+use super::{RecordPosition, Written};
 use crate::store::Error;
-use crate::store::entry::Note;
+use crate::store::entry::RecordMeta;
 use crate::store::faults::{Fault, fault};
 
 /// Bytes written with one sync at most, but for a single larger record.
@@ -15,19 +17,21 @@ const GROUP_BYTES: usize = 8 << 20;
 
 /// A record that waits to be written.
 pub(super) struct Append {
-    pub(super) note: Note,
+    pub(super) meta: RecordMeta,
     /// Begins a segment of its own.
     pub(super) fresh: bool,
     pub(super) payload: Vec<u8>,
+    /// The span of the caller, for what is logged about its record.
+    pub(super) span: Span,
     /// Where the caller waits for the outcome.
     pub(super) done: SyncSender<Result<Written, Error>>,
 }
 
-/// Told of every record once it is on disk.
-type Deliver = Box<dyn FnMut(Note, Written) + Send>;
+/// Gets every record once it is on disk.
+type Deliver = Box<dyn FnMut(RecordMeta, Written) + Send>;
 
-pub(super) struct Writer {
-    segment: Segment,
+pub(super) struct JournalWriter {
+    segment: LogSegment,
     /// Number of the next record.
     next: u64,
     /// Day the newest record was written on.
@@ -39,16 +43,16 @@ pub(super) struct Writer {
 }
 
 /// Why a group is not on disk.
-enum Failure {
+enum WriteFailure {
     /// The file is as it was: the next group may succeed.
     Refused(io::Error),
-    /// Nobody knows what the file holds.
+    /// It is unknown what the file holds.
     Unknown(String),
 }
 
-impl Writer {
+impl JournalWriter {
     pub(super) fn new(
-        segment: Segment,
+        segment: LogSegment,
         next: u64,
         day: Option<u16>,
         segment_bytes: u64,
@@ -61,12 +65,12 @@ impl Writer {
     pub(super) fn run(mut self, receiver: &Receiver<Append>) {
         let mut held = None;
         while let Some(first) = held.take().or_else(|| receiver.recv().ok()) {
-            let (mut bytes, day) = (first.payload.len(), first.note.day);
+            let (mut bytes, day) = (first.payload.len(), first.meta.day);
             let mut group = vec![first];
             while bytes < GROUP_BYTES
                 && let Ok(append) = receiver.try_recv()
             {
-                if append.fresh || append.note.day != day {
+                if append.fresh || append.meta.day != day {
                     held = Some(append);
                     break;
                 }
@@ -84,15 +88,15 @@ impl Writer {
             std::thread::sleep(std::time::Duration::from_millis(20));
         }
         let written = match &self.stopped {
-            Some(reason) => Err(Failure::Unknown(reason.clone())),
+            Some(reason) => Err(WriteFailure::Unknown(reason.clone())),
             None => self.roll(&group[0]).and_then(|()| self.write(&group)),
         };
         match written {
             Ok(written) => {
                 for (append, written) in group.into_iter().zip(written) {
-                    self.day = Some(append.note.day);
-                    (self.deliver)(append.note, written);
-                    // A caller that went away is told by its own retry.
+                    self.day = Some(append.meta.day);
+                    (self.deliver)(append.meta, written);
+                    // A caller that went away learns it from its own retry.
                     let _ = append.done.send(Ok(written));
                 }
             }
@@ -100,45 +104,46 @@ impl Writer {
         }
     }
 
-    fn refuse(&mut self, group: Vec<Append>, failure: &Failure) {
+    fn refuse(&mut self, group: Vec<Append>, failure: &WriteFailure) {
         match failure {
-            Failure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
-            Failure::Unknown(reason) if self.stopped.is_none() => {
+            WriteFailure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
+            WriteFailure::Unknown(reason) if self.stopped.is_none() => {
                 tracing::error!(reason, "the journal stopped accepting writes");
                 self.stopped = Some(reason.clone());
             }
-            Failure::Unknown(_) => {}
+            WriteFailure::Unknown(_) => {}
         }
         for append in group {
             let error = match failure {
-                Failure::Refused(error) => {
-                    // An `io::Error` cannot be cloned; its kind and words are what matters.
+                WriteFailure::Refused(error) => {
+                    // An `io::Error` cannot be cloned; its kind and message are what matters.
                     let source = io::Error::new(error.kind(), error.to_string());
                     Error::Io { doing: "writing the journal", source }
                 }
-                Failure::Unknown(reason) => Error::Stopped(reason.clone()),
+                WriteFailure::Unknown(reason) => Error::Stopped(reason.clone()),
             };
+            append.span.in_scope(|| tracing::warn!("a record was not written"));
             let _ = append.done.send(Err(error));
         }
     }
 
     /// Starts a new segment when the current one is full or of another day.
-    fn roll(&mut self, first: &Append) -> Result<(), Failure> {
-        let another_day = self.day.is_some_and(|day| day != first.note.day);
+    fn roll(&mut self, first: &Append) -> Result<(), WriteFailure> {
+        let another_day = self.day.is_some_and(|day| day != first.meta.day);
         let full = self.segment.length >= self.segment_bytes;
         if !full && (self.segment.first == self.next || !(another_day || first.fresh)) {
             return Ok(());
         }
-        let Segment { dir, journal, .. } = &self.segment;
-        match Segment::create(dir, *journal, self.next) {
+        let LogSegment { dir, journal, .. } = &self.segment;
+        match LogSegment::create(dir, *journal, self.next) {
             Ok(segment) => self.segment = segment,
             // Half a segment may be there now: a restart removes it.
-            Err(error) => return Err(Failure::Unknown(error.to_string())),
+            Err(error) => return Err(WriteFailure::Unknown(error.to_string())),
         }
         Ok(())
     }
 
-    fn write(&mut self, group: &[Append]) -> Result<Vec<Written>, Failure> {
+    fn write(&mut self, group: &[Append]) -> Result<Vec<Written>, WriteFailure> {
         let synced = self.next - 1;
         let mut bytes = Vec::with_capacity(group.iter().map(|a| RECORD_HEADER + a.payload.len()).sum());
         let mut written = Vec::with_capacity(group.len());
@@ -146,19 +151,19 @@ impl Writer {
             let offset = self.segment.length + (bytes.len() + RECORD_HEADER) as u64;
             segment::put_record(&mut bytes, number, synced, &append.payload);
             let length = append.payload.len() as u32;
-            let at = Position { segment: self.segment.first, offset: offset as u32, length };
+            let at = RecordPosition { segment: self.segment.first, offset: offset as u32, length };
             written.push(Written { number, at });
         }
         if let Err(error) = self.segment.medium.append(&bytes) {
             // A full disk refuses here. Nothing of the group may stay: it would be read as written.
             return Err(match self.segment.medium.cut(self.segment.length) {
-                Ok(()) => Failure::Refused(error),
-                Err(cut) => Failure::Unknown(format!("{error}; {cut}")),
+                Ok(()) => WriteFailure::Refused(error),
+                Err(cut) => WriteFailure::Unknown(format!("{error}; {cut}")),
             });
         }
         if fault() != Some(Fault::AckBeforeSync) {
             // After a failed sync the kernel may have dropped the pages: no second sync can be believed.
-            self.segment.medium.sync().map_err(|error| Failure::Unknown(error.to_string()))?;
+            self.segment.medium.sync().map_err(|error| WriteFailure::Unknown(error.to_string()))?;
         }
         self.segment.length += bytes.len() as u64;
         self.next += group.len() as u64;
@@ -175,9 +180,9 @@ mod tests {
 
     use super::super::medium::Medium;
     use super::*;
-    use crate::store::entry::What;
+    use crate::store::entry::RecordSubject;
 
-    /// A disk that fails when told to.
+    /// A disk that fails on request.
     #[derive(Clone, Default)]
     struct Faulty(Arc<Mutex<Faults>>);
 
@@ -211,16 +216,22 @@ mod tests {
         }
     }
 
-    fn writer(disk: &Faulty) -> Writer {
+    fn writer(disk: &Faulty) -> JournalWriter {
         let medium = Box::new(disk.clone());
-        let segment = Segment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
-        Writer::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
+        let segment = LogSegment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
+        JournalWriter::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
     }
 
-    fn append(writer: &mut Writer) -> Result<Written, Error> {
+    fn append(writer: &mut JournalWriter) -> Result<Written, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
-        let note = Note { day: 1, what: What::Upload { id: Uuid::nil(), contributor: 1 } };
-        writer.commit(vec![Append { note, fresh: false, payload: b"payload".to_vec(), done }]);
+        let meta = RecordMeta { day: 1, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } };
+        writer.commit(vec![Append {
+            meta,
+            fresh: false,
+            payload: b"payload".to_vec(),
+            span: Span::none(),
+            done,
+        }]);
         outcome.recv().unwrap()
     }
 

@@ -1,6 +1,6 @@
 //! Revocations and rollbacks, against stores that never had what was taken back.
 
-use super::super::build::Step;
+use super::super::build::BuildStep;
 use super::*;
 
 /// Tiles by their bytes.
@@ -12,7 +12,7 @@ pub(super) fn bytes(store: &EmbeddedStore) -> Bare {
 }
 
 /// The map of a store that was given only these.
-pub(super) fn never_had(left: &[Upload]) -> Bare {
+pub(super) fn never_had(left: &[UploadRecord]) -> Bare {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     commit_all(&store, left);
@@ -20,7 +20,7 @@ pub(super) fn never_had(left: &[Upload]) -> Bare {
 }
 
 /// Uploads of contributors that this store knows by the names `car-0`, `car-1`, ...
-pub(super) fn by_cars(store: &EmbeddedStore, mut uploads: Vec<Upload>) -> Vec<Upload> {
+pub(super) fn by_cars(store: &EmbeddedStore, mut uploads: Vec<UploadRecord>) -> Vec<UploadRecord> {
     for upload in &mut uploads {
         upload.pass.contributor = store.contributor(&format!("car-{}", upload.pass.contributor));
     }
@@ -29,8 +29,8 @@ pub(super) fn by_cars(store: &EmbeddedStore, mut uploads: Vec<Upload>) -> Vec<Up
 
 /// What may happen to a store.
 #[derive(Debug, Clone)]
-enum Event {
-    Commit(Upload),
+enum StoreAction {
+    Commit(UploadRecord),
     Again(prop::sample::Index),
     RevokeCar(u64),
     RevokeUpload(prop::sample::Index),
@@ -41,37 +41,37 @@ enum Event {
     Compare,
 }
 
-fn events() -> impl Strategy<Value = Vec<Event>> {
+fn events() -> impl Strategy<Value = Vec<StoreAction>> {
     let index = any::<prop::sample::Index>;
     let event = prop_oneof![
-        10 => uploads().prop_map(Event::Commit),
-        1 => index().prop_map(Event::Again),
-        1 => (0..3_u64).prop_map(Event::RevokeCar),
-        1 => index().prop_map(Event::RevokeUpload),
-        1 => index().prop_map(Event::Rollback),
-        2 => Just(Event::Restart),
-        1 => Just(Event::LoseTiles),
-        1 => Just(Event::LoseManifest),
-        1 => Just(Event::Compare),
+        10 => uploads().prop_map(StoreAction::Commit),
+        1 => index().prop_map(StoreAction::Again),
+        1 => (0..3_u64).prop_map(StoreAction::RevokeCar),
+        1 => index().prop_map(StoreAction::RevokeUpload),
+        1 => index().prop_map(StoreAction::Rollback),
+        2 => Just(StoreAction::Restart),
+        1 => Just(StoreAction::LoseTiles),
+        1 => Just(StoreAction::LoseManifest),
+        1 => Just(StoreAction::Compare),
     ];
     prop::collection::vec(event, 4..24)
 }
 
 /// What is left, with the records' numbers.
 #[derive(Default)]
-struct Model {
-    left: Vec<(u64, Upload)>,
-    sent: Vec<Upload>,
+struct MapModel {
+    left: Vec<(u64, UploadRecord)>,
+    sent: Vec<UploadRecord>,
     records: u64,
 }
 
-impl Model {
-    fn uploads(&self) -> Vec<Upload> {
+impl MapModel {
+    fn uploads(&self) -> Vec<UploadRecord> {
         self.left.iter().map(|(_, upload)| upload.clone()).collect()
     }
 
     /// A control was written.
-    fn take_back(&mut self, epoch: &Result<u64, Error>, gone: impl Fn(u64, &Upload) -> bool) {
+    fn take_back(&mut self, epoch: &Result<u64, Error>, gone: impl Fn(u64, &UploadRecord) -> bool) {
         if let Ok(epoch) = epoch {
             self.records += 1;
             assert_eq!(*epoch, self.records);
@@ -94,10 +94,10 @@ proptest! {
     fn the_map_is_as_if_what_was_taken_back_never_came(events in events()) {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path());
-        let mut model = Model::default();
+        let mut model = MapModel::default();
         for event in events {
             match event {
-                Event::Commit(upload) => {
+                StoreAction::Commit(upload) => {
                     let upload = by_cars(&store, vec![upload]).remove(0);
                     let receipt = store.commit(upload.clone()).unwrap();
                     model.records += 1;
@@ -105,40 +105,40 @@ proptest! {
                     model.sent.push(upload.clone());
                     model.left.push((model.records, upload));
                 }
-                Event::Again(index) if !model.sent.is_empty() => {
+                StoreAction::Again(index) if !model.sent.is_empty() => {
                     // Counts once, even when it was taken back.
                     let receipt = store.commit(index.get(&model.sent).clone()).unwrap();
                     let duplicate = matches!(receipt, Receipt::Duplicate { .. });
                     prop_assert!(duplicate);
                 }
-                Event::RevokeCar(car) => {
+                StoreAction::RevokeCar(car) => {
                     let name = format!("car-{car}");
                     let hash = store.contributor(&name);
                     let epoch = store.revoke_contributor(&name);
                     prop_assert_eq!(epoch.is_ok(), model.sent.iter().any(|u| u.pass.contributor == hash));
                     model.take_back(&epoch, |_, upload| upload.pass.contributor == hash);
                 }
-                Event::RevokeUpload(index) if !model.sent.is_empty() => {
+                StoreAction::RevokeUpload(index) if !model.sent.is_empty() => {
                     let id = index.get(&model.sent).id;
                     model.take_back(&Ok(store.revoke_upload(id).unwrap()), |_, upload| upload.id == id);
                 }
-                Event::Rollback(index) => {
+                StoreAction::Rollback(index) => {
                     let epoch = index.index(model.records as usize + 1) as u64;
                     model.take_back(&Ok(store.rollback(epoch).unwrap()), |number, _| number > epoch);
                 }
-                Event::Restart => store = restarted(store, dir.path(), || {}),
-                Event::LoseTiles => {
+                StoreAction::Restart => store = restarted(store, dir.path(), || {}),
+                StoreAction::LoseTiles => {
                     caught_up(&store);
                     let lost = || std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
                     store = restarted(store, dir.path(), lost);
                 }
-                Event::LoseManifest => {
+                StoreAction::LoseManifest => {
                     caught_up(&store);
                     let lost = || std::fs::remove_file(dir.path().join("manifest")).unwrap();
                     store = restarted(store, dir.path(), lost);
                 }
-                Event::Compare => prop_assert_eq!(bytes(&store), never_had(&model.uploads())),
-                Event::Again(_) | Event::RevokeUpload(_) => {}
+                StoreAction::Compare => prop_assert_eq!(bytes(&store), never_had(&model.uploads())),
+                StoreAction::Again(_) | StoreAction::RevokeUpload(_) => {}
             }
         }
         prop_assert_eq!(bytes(&store), never_had(&model.uploads()));
@@ -194,7 +194,9 @@ fn unchanged_tiles_keep_their_version_and_the_others_take_the_controls() {
 
 #[test]
 fn the_map_is_served_while_another_generation_is_made_and_after_any_stop_at_it() {
-    for step in [Step::Created, Step::Folded, Step::Flushed, Step::Published, Step::Served] {
+    for step in
+        [BuildStep::Created, BuildStep::Folded, BuildStep::Flushed, BuildStep::Published, BuildStep::Served]
+    {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path());
         let uploads = by_cars(&store, some_uploads(20));
@@ -203,11 +205,11 @@ fn the_map_is_served_while_another_generation_is_made_and_after_any_stop_at_it()
         *store.shared.fails_at.lock().unwrap() = Some(step);
         let epoch = store.rollback(10).unwrap();
         let deadline = Instant::now() + Duration::from_secs(20);
-        while store.progress().borrow().state != State::Stalled {
+        while store.progress().borrow().state != MapStatus::Stalled {
             assert!(Instant::now() < deadline, "{step:?} is not reached");
             std::thread::sleep(Duration::from_millis(1));
         }
-        if step != Step::Served {
+        if step != BuildStep::Served {
             assert_eq!(store.progress().borrow().epoch, 20);
             let (id, (version, bytes)) = before.first_key_value().unwrap();
             let tile = store.tile(*id).unwrap().unwrap();

@@ -1,7 +1,6 @@
 //! Export, import, backup, verification.
 
-use super::super::canvas::Source;
-use super::super::clock::tests::TODAY;
+use super::super::write_buffer::Source;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;
 
@@ -85,7 +84,7 @@ fn a_backup_is_the_store_as_it_was() {
     commit_all(&store, &uploads[..10]);
     TODAY.set(Some(101));
     commit_all(&store, &uploads[10..20]);
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     let then = bytes(&store);
     let mut archive = Vec::new();
     // The archive ends where the journal did: what comes after is not in it.
@@ -148,17 +147,40 @@ fn another_policy_folds_the_map_anew_and_is_of_another_lineage() {
     assert_eq!(asking_for(1).lineage(), other);
 }
 
+/// Catches: an update of the service that folds the map anew or gives it another lineage, because names in the code or the
+/// way they are printed changed.
 #[test]
-fn other_tools_read_a_backup() {
+fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path());
+    let vetted = mapping().policy();
+    let with = |policy| EmbeddedStore::open(&Options { policy, ..options(dir.path()) }).unwrap();
+    let store = with(vetted);
     commit_all(&store, &some_uploads(3));
-    let archive = dir.path().join("backup.tar");
-    store.backup(&mut std::fs::File::create(&archive).unwrap()).unwrap();
-    let listed = std::process::Command::new("tar").arg("tvf").arg(&archive).output().unwrap();
-    let told = String::from_utf8(listed.stdout).unwrap();
-    assert!(listed.status.success() && told.contains("key") && told.contains("journal/"), "{told}");
-    assert!(told.lines().all(|line| line.starts_with("-rw-------")), "{told}");
+    caught_up(&store);
+    let lineage = store.lineage();
+    drop(store);
+    let marker = tiles_dir(dir.path()).join("marker");
+    std::fs::write(&marker, "these tiles").unwrap();
+    let manifest = dir.path().join("manifest");
+    let current = std::fs::read(&manifest).unwrap();
+    manifest::write_legacy(dir.path(), &vetted);
+    assert_ne!(std::fs::read(&manifest).unwrap(), current);
+    let store = with(vetted);
+    assert_eq!(store.progress().borrow().state, MapStatus::Serving, "nothing is folded anew");
+    assert!(store.lineage() == lineage && marker.exists());
+    assert_eq!(std::fs::read(&manifest).unwrap(), current, "it is rewritten");
+    drop(store);
+
+    manifest::write_legacy(dir.path(), &vetted);
+    let store = with(Policy { publish_contributors: 7, ..vetted });
+    assert_ne!(store.lineage(), lineage);
+    caught_up(&store);
+    assert!(!marker.exists(), "under another policy the tiles are made anew");
+    assert_eq!(std::fs::read(&manifest).unwrap()[..4], *b"EFM\x04");
+}
+
+fn mapping() -> crate::mapping::MappingConfig {
+    crate::mapping::MappingConfig::default()
 }
 
 #[test]
@@ -168,12 +190,12 @@ fn a_sound_store_is_verified_and_damage_is_named() {
     TODAY.set(Some(100));
     commit_all(&store, &some_uploads(10));
     TODAY.set(Some(101));
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     commit_all(&store, &some_uploads(20)[10..]);
     let tiles = map(&store).len() as u64;
     let found = store.verify(true).unwrap();
     assert_eq!((found.records, found.tiles, found.compared), (11, tiles, Some(tiles)));
-    assert!(found.base_tiles > 0 && found.damage.is_empty(), "{found:?}");
+    assert!(found.checkpoint_tiles > 0 && found.damage.is_empty(), "{found:?}");
 
     let newest = std::fs::read_dir(dir.path().join("journal")).unwrap().map(|e| e.unwrap().path()).max();
     let newest = newest.unwrap();
@@ -185,10 +207,10 @@ fn a_sound_store_is_verified_and_damage_is_named() {
     assert!(found.damage.len() == 1 && found.damage[0].contains("journal"), "{found:?}");
     std::fs::write(&newest, good).unwrap();
 
-    let base = dir.path().join("base-10");
-    let mut bad = std::fs::read(&base).unwrap();
+    let checkpoint = dir.path().join("base-10");
+    let mut bad = std::fs::read(&checkpoint).unwrap();
     bad[60] ^= 1;
-    std::fs::write(&base, bad).unwrap();
+    std::fs::write(&checkpoint, bad).unwrap();
     let found = store.verify(false).unwrap();
     assert!(found.damage.len() == 1 && found.damage[0].contains("base"), "{found:?}");
 }

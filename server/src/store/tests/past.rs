@@ -1,6 +1,5 @@
 //! Time travel.
 
-use super::super::clock::tests::TODAY;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;
 
@@ -44,7 +43,7 @@ fn the_past_reaches_back_to_the_base() {
     commit_all(&store, &uploads[..4]);
     TODAY.set(Some(101));
     commit_all(&store, &uploads[4..]);
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     caught_up(&store);
     assert!(matches!(store.at(3), Err(Error::Unknown(_))));
     assert_eq!(past(&store, 4), never_had(&uploads[..4]));
@@ -66,18 +65,18 @@ fn history_groups_uploads_and_tells_what_controls_did() {
     store.revoke_contributor("car-1").unwrap();
     commit_all(&store, &uploads[6..]);
     store.rollback(8).unwrap();
-    let at_us = 101 * 86_400_000_000;
-    let control = |number, decision, takes_back| Event {
+    let at_us = 101 * echofix_core::time::DAY_US;
+    let control = |number, decision, takes_back| HistoryEvent {
         first: number,
         last: number,
         day: 101,
-        what: What::Control { at_us, decision, takes_back },
+        what: EventKind::Control { at_us, decision, takes_back },
     };
-    let run = |first, last, day, contributors, taken_back| Event {
+    let run = |first, last, day, contributors, taken_back| HistoryEvent {
         first,
         last,
         day,
-        what: What::Uploads { uploads: last - first + 1, contributors, taken_back },
+        what: EventKind::Uploads { uploads: last - first + 1, contributors, taken_back },
     };
     let expected = [
         control(11, Decision::Rollback(8), 2),

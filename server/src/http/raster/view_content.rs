@@ -1,15 +1,16 @@
 //! What contributes to a view, and what the view then shows.
 
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::hash::Hasher;
 use std::sync::Arc;
 
 use echofix_core::geo::{Grid, TILE_M, TileId, Zone};
+use siphasher::sip::SipHasher24;
 
 use super::plane::{Plane, TILE_SHIFT};
-use super::view::Lattice;
+use super::view::PixelGrid;
 use super::{Layer, Overview, Spot, View};
 use crate::http::error::Error;
-use crate::locating::PLACES;
+use crate::locating::SPOTS_PER_SIDE;
 use crate::store::{MapStore, TileInfo};
 
 /// From this zoom on a view shows tiles, below it the overview's blocks.
@@ -23,29 +24,29 @@ const FULL: f64 = 12_000.0;
 const BORDERED: f64 = 8.0;
 
 /// log2 of the cells along the side of the square that one expectation stands for.
-pub const PLACE_SHIFT: u32 = TILE_SHIFT - PLACES.trailing_zeros();
+pub const SPOT_SHIFT: u32 = TILE_SHIFT - SPOTS_PER_SIDE.trailing_zeros();
 /// Tiles around one that what is expected of its fixes rests on.
 const REACH: i32 = 2;
 
 /// All that contributes to a view.
-pub enum Scene {
+pub enum ViewContent {
     /// The whole map from far away.
     Far(Arc<Overview>),
     /// Tiles of one zone or of several.
-    Near(Vec<Part>),
+    Near(Vec<ZonePart>),
 }
 
 /// A zone's part of a view.
-pub struct Part {
+pub struct ZonePart {
     zone: Zone,
-    lattice: Lattice,
+    pixel_grid: PixelGrid,
     tiles: Vec<TileInfo>,
 }
 
 /// Adds a tile's evidence to a plane.
 pub type Fetch<'a> = &'a dyn Fn(&mut Plane, &TileInfo) -> Result<(), Error>;
 
-impl Scene {
+impl ViewContent {
     /// The tiles under a near view.
     ///
     /// # Errors
@@ -54,33 +55,44 @@ impl Scene {
         let mapped = store.zones();
         let mut parts = Vec::new();
         for zone in zones_of(view).into_iter().filter(|zone| mapped.contains(zone)) {
-            let lattice = Lattice::new(view, &Grid::new(zone)?)?;
-            let [low, high] = lattice.bounds().map(|corner| TileId::of(zone, corner));
+            let pixel_grid = PixelGrid::new(view, &Grid::new(zone)?)?;
+            let [low, high] = pixel_grid.bounds().map(|corner| TileId::of(zone, corner));
             // What is expected of fixes rests on the tiles around, which may lie beyond the view.
             let reach = if layer == Layer::Localizability { REACH } else { 0 };
             let (x, y) = (low.x - reach..=high.x + reach, low.y - reach..=high.y + reach);
             let tiles = store.catalog(zone, x, y)?;
-            parts.push(Part { zone, lattice, tiles });
+            parts.push(ZonePart { zone, pixel_grid, tiles });
         }
         Ok(Self::Near(parts))
     }
 
-    /// Names what the view shows of a map of some lineage: equal tags, equal pictures.
+    /// Names what the view shows of a map of some lineage: equal tags, equal pictures. Clients keep tags for long and send
+    /// them to other builds of the service: they rest on names in addresses and on numbers, not on the code's own.
     pub fn tag(&self, layer: Layer, view: &View, lineage: u64, newest_day: u16) -> String {
-        let mut hash = DefaultHasher::new();
-        (env!("CARGO_PKG_VERSION"), layer, view, lineage).hash(&mut hash);
+        let mut hash = SipHasher24::new();
+        let mut text = |text: &str| {
+            hash.write(&(text.len() as u64).to_le_bytes());
+            hash.write(text.as_bytes());
+        };
+        text(env!("CARGO_PKG_VERSION"));
+        text(layer.name());
+        let mut put = |numbers: &[u64]| numbers.iter().for_each(|number| hash.write(&number.to_le_bytes()));
+        let View { z, x, y, side } = *view;
+        put(&[z.into(), x.into(), y.into(), side as u64, lineage]);
         if layer == Layer::Age {
-            newest_day.hash(&mut hash);
+            put(&[newest_day.into()]);
         }
         match self {
             Self::Far(overview) => {
                 for (rectangle, version, spot) in overview.seen_in(view) {
-                    (rectangle.x0, rectangle.y0, version, spot.level, spot.day).hash(&mut hash);
+                    let corner = [rectangle.x0 as u64, rectangle.y0 as u64];
+                    put(&[corner[0], corner[1], version, spot.level.into(), spot.day.into()]);
                 }
             }
             Self::Near(parts) => {
                 for tile in parts.iter().flat_map(|part| &part.tiles) {
-                    (tile.id, tile.version).hash(&mut hash);
+                    let TileId { zone, y, x } = tile.id;
+                    put(&[zone.epsg().into(), y as u64, x as u64, tile.version]);
                 }
             }
         }
@@ -114,14 +126,14 @@ impl Scene {
     }
 }
 
-impl Part {
+impl ZonePart {
     /// Draws the pixels that belong to the zone.
     fn draw(&self, layer: Layer, view: &View, fetch: Fetch, spots: &mut [Spot]) -> Result<(), Error> {
         let pixel_m = view.pixel_m();
         let plane = self.plane(layer, view, fetch)?;
         for (i, spot) in spots.iter_mut().enumerate() {
             let (px, py) = ((i % view.side) as f64 + 0.5, (i / view.side) as f64 + 0.5);
-            let at = self.lattice.at(px, py);
+            let at = self.pixel_grid.at(px, py);
             let found = plane.sample(at, pixel_m);
             if found.level > 0 && Zone::of(view.at(px, py)) == Ok(self.zone) {
                 *spot = if layer == Layer::Coverage { bordered(found, at, pixel_m) } else { found };
@@ -134,10 +146,10 @@ impl Part {
         let whole_tiles = layer == Layer::Coverage || view.z < CELLS_FROM;
         let finest = match layer {
             Layer::Coverage => TILE_SHIFT,
-            Layer::Localizability => PLACE_SHIFT,
+            Layer::Localizability => SPOT_SHIFT,
             _ => 0,
         };
-        let [low, high] = self.lattice.bounds();
+        let [low, high] = self.pixel_grid.bounds();
         let [first, last] = [low, high].map(|corner| TileId::of(self.zone, corner));
         let mut plane = Plane::new(low, high, Plane::shift_for(view.pixel_m()).max(finest));
         let seen = |id: TileId| (first.x..=last.x).contains(&id.x) && (first.y..=last.y).contains(&id.y);

@@ -6,57 +6,61 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, Rw
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::base::Base;
+use super::checkpoint::Checkpoint;
 use super::data_dir::DataDir;
 use super::generation::Generation;
-use super::index::Index;
+use super::index::JournalIndex;
 use super::journal::Journal;
 use super::options::Options;
-use super::{Error, Policy, Progress, State};
+use super::{Error, MapProgress, MapStatus, Policy, StoreClock};
 
 /// What the store and its folding thread share.
-pub(super) struct Shared {
+pub(super) struct StoreContext {
     pub(super) cache_bytes: u64,
+    pub(super) write_buffer_tiles: usize,
     pub(super) policy: Policy,
+    pub(super) clock: StoreClock,
     pub(super) journal_id: Uuid,
     pub(super) lineage: u64,
     pub(super) journal: Journal,
-    pub(super) index: Arc<Index>,
-    pub(super) progress: watch::Sender<Progress>,
+    pub(super) index: Arc<JournalIndex>,
+    pub(super) progress: watch::Sender<MapProgress>,
     served: RwLock<Option<Arc<Generation>>>,
-    /// Held for writing while settled records go.
-    base: RwLock<Base>,
-    /// Uploads in the base.
-    pub(super) settled_uploads: AtomicU64,
+    /// Held for writing while compacted records go.
+    checkpoint: RwLock<Checkpoint>,
+    /// Uploads in the checkpoint.
+    pub(super) compacted_uploads: AtomicU64,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
     /// Where a test lets the building of a generation fail.
     #[cfg(test)]
-    pub(super) fails_at: Mutex<Option<super::build::Step>>,
+    pub(super) fails_at: Mutex<Option<super::build::BuildStep>>,
     /// Declared last: unlocked when all else is closed.
     pub(super) dir: DataDir,
 }
 
-impl Shared {
+impl StoreContext {
     pub(super) fn new(
         dir: DataDir,
         options: &Options,
         (journal_id, lineage, journal): (Uuid, u64, Journal),
-        index: Arc<Index>,
-        progress: watch::Sender<Progress>,
-        (served, base): (Option<Arc<Generation>>, Base),
+        index: Arc<JournalIndex>,
+        progress: watch::Sender<MapProgress>,
+        (served, checkpoint): (Option<Arc<Generation>>, Checkpoint),
     ) -> Self {
         Self {
             cache_bytes: options.cache_bytes,
+            write_buffer_tiles: options.write_buffer_tiles,
             policy: options.policy,
+            clock: options.clock.clone(),
             journal_id,
             lineage,
             journal,
             index,
             progress,
             served: RwLock::new(served),
-            settled_uploads: AtomicU64::new(base.uploads),
-            base: RwLock::new(base),
+            compacted_uploads: AtomicU64::new(checkpoint.uploads),
+            checkpoint: RwLock::new(checkpoint),
             deciding: Mutex::default(),
             #[cfg(test)]
             fails_at: Mutex::default(),
@@ -67,11 +71,11 @@ impl Shared {
     /// The generation that is read. Nothing is answered from a map that does not show all it once
     /// showed.
     pub(super) fn readable(&self) -> Result<Arc<Generation>, Error> {
-        let Progress { state, epoch, journaled, .. } = *self.progress.borrow();
+        let MapProgress { state, epoch, journaled, .. } = *self.progress.borrow();
         let rebuilding = Error::Rebuilding { folded: epoch, journaled };
         match state {
-            State::Rebuilding => Err(rebuilding),
-            State::Serving | State::Stalled => self.served().ok_or(rebuilding),
+            MapStatus::Rebuilding => Err(rebuilding),
+            MapStatus::Serving | MapStatus::Stalled => self.served().ok_or(rebuilding),
         }
     }
 
@@ -84,15 +88,15 @@ impl Shared {
         std::mem::replace(&mut *self.served.write().unwrap_or_else(PoisonError::into_inner), generation)
     }
 
-    /// The base; no settled record goes while this is held.
-    pub(super) fn base(&self) -> RwLockReadGuard<'_, Base> {
+    /// The checkpoint; no compacted record goes while this is held.
+    pub(super) fn checkpoint(&self) -> RwLockReadGuard<'_, Checkpoint> {
         // It is replaced in one step.
-        self.base.read().unwrap_or_else(PoisonError::into_inner)
+        self.checkpoint.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The base, and the right to delete what it covers.
-    pub(super) fn base_mut(&self) -> RwLockWriteGuard<'_, Base> {
-        self.base.write().unwrap_or_else(PoisonError::into_inner)
+    /// The checkpoint, and the right to delete what it covers.
+    pub(super) fn checkpoint_mut(&self) -> RwLockWriteGuard<'_, Checkpoint> {
+        self.checkpoint.write().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The right to write a control.
@@ -100,7 +104,7 @@ impl Shared {
         self.deciding.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn set_state(&self, state: State) {
+    pub(super) fn set_state(&self, state: MapStatus) {
         self.progress.send_if_modified(|progress| {
             let changed = progress.state != state;
             progress.state = state;
@@ -108,7 +112,7 @@ impl Shared {
         });
     }
 
-    /// A journal that stopped once accepts nothing any more, and that is told.
+    /// A journal that stopped once accepts nothing any more; the progress says so.
     pub(super) fn note_stop(&self, error: &Error) {
         if matches!(error, Error::Stopped(_)) {
             self.progress.send_if_modified(|progress| !std::mem::replace(&mut progress.stopped, true));

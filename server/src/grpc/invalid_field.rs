@@ -5,14 +5,14 @@ use std::fmt::Display;
 /// What is wrong with which field; becomes `google.rpc.BadRequest`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {description}")]
-pub struct Violation {
+pub struct InvalidField {
     /// Path of the field, for instance `batch.scans.range_m`.
     pub field: String,
     /// What is wrong with it, and what would be right.
     pub description: String,
 }
 
-impl Violation {
+impl InvalidField {
     /// A violation of a field.
     pub fn new(field: impl Into<String>, description: impl Display) -> Self {
         Self { field: field.into(), description: description.to_string() }
@@ -20,11 +20,11 @@ impl Violation {
 }
 
 /// An error unless the condition holds.
-pub(super) fn require(holds: bool, field: &str, description: &str) -> Result<(), Violation> {
-    if holds { Ok(()) } else { Err(Violation::new(field, description)) }
+pub(super) fn require(holds: bool, field: &str, description: &str) -> Result<(), InvalidField> {
+    if holds { Ok(()) } else { Err(InvalidField::new(field, description)) }
 }
 
 /// A message that must be there.
-pub(super) fn required<T>(message: Option<T>, field: &str) -> Result<T, Violation> {
-    message.ok_or_else(|| Violation::new(field, "is missing"))
+pub(super) fn required<T>(message: Option<T>, field: &str) -> Result<T, InvalidField> {
+    message.ok_or_else(|| InvalidField::new(field, "is missing"))
 }

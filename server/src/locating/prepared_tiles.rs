@@ -1,4 +1,4 @@
-//! Tiles as weights, kept while memory lasts.
+//! Tiles as weights, cached while memory lasts.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,13 +16,13 @@ use crate::store::{Error, MapStore, TileInfo};
 /// borders (0 where there is none): a change makes another key, and the old one is forgotten as the
 /// least recently used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Key {
+struct PreparedKey {
     id: TileId,
     versions: [u64; 9],
 }
 
-/// The tiles of a square.
-pub(super) struct Found {
+/// The tiles of a map window.
+pub(super) struct WindowTiles {
     pub tiles: Vec<Arc<TileWeights>>,
     /// Epoch of the map when they were looked up.
     pub epoch: u64,
@@ -31,11 +31,11 @@ pub(super) struct Found {
 }
 
 /// Prepared tiles by their versions.
-pub(super) struct TileCache {
-    tiles: Cache<Key, Arc<TileWeights>>,
+pub(super) struct PreparedTiles {
+    tiles: Cache<PreparedKey, Arc<TileWeights>>,
 }
 
-impl TileCache {
+impl PreparedTiles {
     pub(super) fn new(capacity_mib: u64) -> Self {
         let tiles = Cache::builder()
             .weigher(|_, tile: &Arc<TileWeights>| (tile.bytes() >> 10) as u32)
@@ -44,8 +44,8 @@ impl TileCache {
         Self { tiles }
     }
 
-    /// The tiles of a square; none where nothing is served. Blocks.
-    pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<Found, Arc<Error>> {
+    /// The tiles of a map window; none where nothing is served. Blocks.
+    pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<WindowTiles, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
         for tile in frame.tiles() {
@@ -53,10 +53,10 @@ impl TileCache {
             y = (y.0.min(tile.y), y.1.max(tile.y));
         }
         let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
-        let mut found = Found { tiles: Vec::new(), epoch, cached: true };
+        let mut found = WindowTiles { tiles: Vec::new(), epoch, cached: true };
         let mut reading = Reading { store, known: HashMap::new() };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
-            let key = Key { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
+            let key = PreparedKey { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
             let tile = self.tiles.try_get_with_by_ref(&key, || {
                 found.cached = false;
                 reading.prepare(&key)
@@ -78,7 +78,7 @@ struct Reading<'a> {
 }
 
 impl Reading<'_> {
-    fn prepare(&mut self, key: &Key) -> Result<Arc<TileWeights>, Error> {
+    fn prepare(&mut self, key: &PreparedKey) -> Result<Arc<TileWeights>, Error> {
         let near = key.id.with_neighbours().into_iter().zip(key.versions);
         for (id, _) in near.filter(|(_, version)| *version != 0) {
             if let Entry::Vacant(unknown) = self.known.entry(id) {

@@ -1,18 +1,17 @@
-//! Settling: the journal's head becomes the base.
+//! Compacting: the journal's head becomes the checkpoint.
 
-use super::super::build::Step;
-use super::super::clock::tests::TODAY;
+use super::super::build::BuildStep;
 use super::controls::{by_cars, bytes, copy, never_had};
 use super::*;
 
 /// Commits uploads as if it were a day.
-fn commit_on(store: &EmbeddedStore, day: u16, uploads: &[Upload]) {
+fn commit_on(store: &EmbeddedStore, day: u16, uploads: &[UploadRecord]) {
     TODAY.set(Some(day));
     commit_all(store, uploads);
 }
 
 /// Contributors that no other bytes look like, each passing on one day only.
-fn distinct(mut uploads: Vec<Upload>) -> Vec<Upload> {
+fn distinct(mut uploads: Vec<UploadRecord>) -> Vec<UploadRecord> {
     for (i, upload) in (0_u64..).zip(&mut uploads) {
         upload.pass.contributor = 0x9e37_79b9_7f4a_7c15_u64.wrapping_mul(i + 1);
     }
@@ -35,7 +34,7 @@ fn segments(dir: &Path) -> usize {
 }
 
 #[test]
-fn settled_records_are_gone_and_the_map_is_as_before() {
+fn compacted_records_are_gone_and_the_map_is_as_before() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let uploads = distinct(some_uploads(40));
@@ -46,12 +45,12 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
     let hashes = |range: std::ops::Range<usize>| {
         uploads[range].iter().filter(|u| holds(dir.path(), &u.pass.contributor.to_le_bytes())).count()
     };
-    assert_eq!(hashes(0..40), 40, "without settling they are there, or the test finds nothing");
+    assert_eq!(hashes(0..40), 40, "without compacting they are there, or the test finds nothing");
 
-    assert_eq!(store.settle(100).unwrap(), None, "nothing is that old");
-    assert_eq!(store.settle(102).unwrap(), Some(41));
+    assert_eq!(store.compact(100).unwrap(), None, "nothing is that old");
+    assert_eq!(store.compact(102).unwrap(), Some(41));
     assert_eq!(map(&store), before, "the same tiles in the same versions");
-    assert_eq!(store.settle(102).unwrap(), None, "once is enough");
+    assert_eq!(store.compact(102).unwrap(), None, "once is enough");
     // The old tiles go when the last reader lets go of them.
     drop(store);
     assert_eq!((hashes(0..25), hashes(25..40)), (0, 15));
@@ -65,20 +64,20 @@ fn settled_records_are_gone_and_the_map_is_as_before() {
     drop(store);
     std::fs::remove_dir_all(tiles_dir(dir.path())).unwrap();
     let store = open(dir.path());
-    assert_eq!(bytes(&store), never_had(&uploads), "base and journal make the map again");
+    assert_eq!(bytes(&store), never_had(&uploads), "checkpoint and journal make the map again");
 }
 
 #[test]
-fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
+fn compacted_uploads_cannot_be_taken_back_and_the_others_can() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     let mut uploads = by_cars(&store, some_uploads(30));
-    // Whoever comes again after a settlement is not recognised, and counts as one more contributor.
+    // A contributor that comes again after a compaction is not recognised, and counts as one more contributor.
     uploads[10..].iter_mut().for_each(|upload| upload.pass.contributor ^= 1 << 63);
     commit_on(&store, 100, &uploads[..10]);
     let revoked = store.revoke_upload(uploads[2].id).unwrap();
     commit_on(&store, 102, &uploads[10..]);
-    let settled = store.settle(101).unwrap().unwrap();
+    let compacted = store.compact(101).unwrap().unwrap();
     for step in 0..2 {
         let refused = [store.revoke_upload(uploads[0].id), store.rollback(revoked - 1)];
         assert!(refused.iter().all(|r| matches!(r, Err(Error::Unknown(_)))), "{refused:?} at {step}");
@@ -91,14 +90,24 @@ fn settled_uploads_cannot_be_taken_back_and_the_others_can() {
     };
     assert_eq!(bytes(&store), never_had(&left(&[2, 20])));
     store.rollback(revoked).unwrap();
-    assert_eq!(bytes(&store), never_had(&[&uploads[..2], &uploads[3..10]].concat()), "back to the base");
-    assert!(settled > revoked);
+    assert_eq!(
+        bytes(&store),
+        never_had(&[&uploads[..2], &uploads[3..10]].concat()),
+        "back to the checkpoint"
+    );
+    assert!(compacted > revoked);
 }
 
 #[test]
-fn a_stop_at_any_step_of_settling_leaves_a_map_that_goes_on() {
-    let steps =
-        [Step::BaseFolded, Step::BaseWritten, Step::Created, Step::Flushed, Step::Published, Step::Served];
+fn a_stop_at_any_step_of_compacting_leaves_a_map_that_goes_on() {
+    let steps = [
+        BuildStep::CheckpointFolded,
+        BuildStep::CheckpointWritten,
+        BuildStep::Created,
+        BuildStep::Flushed,
+        BuildStep::Published,
+        BuildStep::Served,
+    ];
     for step in steps {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path());
@@ -107,9 +116,9 @@ fn a_stop_at_any_step_of_settling_leaves_a_map_that_goes_on() {
         commit_on(&store, 101, &uploads[12..]);
         let whole = bytes(&store);
         *store.shared.fails_at.lock().unwrap() = Some(step);
-        store.settle(101).unwrap();
+        store.compact(101).unwrap();
         let deadline = Instant::now() + Duration::from_secs(20);
-        while store.progress().borrow().state != State::Stalled {
+        while store.progress().borrow().state != MapStatus::Stalled {
             assert!(Instant::now() < deadline, "{step:?} is not reached");
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -127,33 +136,33 @@ fn a_stop_at_any_step_of_settling_leaves_a_map_that_goes_on() {
 }
 
 #[test]
-fn a_journal_whose_base_is_gone_is_not_opened() {
+fn a_journal_whose_checkpoint_is_gone_is_not_opened() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
     commit_on(&store, 100, &some_uploads(5));
     TODAY.set(Some(101));
-    store.settle(101).unwrap();
+    store.compact(101).unwrap();
     caught_up(&store);
     drop(store);
     std::fs::remove_file(dir.path().join("base-5")).unwrap();
     match EmbeddedStore::open(&options(dir.path())) {
         Err(Error::Damaged { reason, .. }) => assert!(reason.contains("base-5"), "{reason}"),
-        _ => panic!("the missing base went unnoticed"),
+        _ => panic!("the missing checkpoint went unnoticed"),
     }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
-    // Breaks it: a base that keeps excluded uploads, or a start that folds settled records again.
+    // Breaks it: a checkpoint that keeps excluded uploads, or a start that folds compacted records again.
     #[test]
-    fn settling_at_any_time_changes_no_map(
+    fn compacting_at_any_time_changes_no_map(
         days in prop::collection::vec((prop::collection::vec(uploads(), 1..5), 0..4_u8), 1..6),
     ) {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path());
-        let mut left: Vec<Upload> = Vec::new();
+        let mut left: Vec<UploadRecord> = Vec::new();
         for (day, (uploads, then)) in (200..).zip(days) {
-            // No contributor comes on both sides of a settlement: it would count on either.
+            // No contributor comes on both sides of a compaction: it would count on either.
             let mut uploads = distinct(uploads);
             for upload in &mut uploads {
                 upload.pass.day = day;
@@ -162,11 +171,11 @@ proptest! {
             commit_on(&store, day, &uploads);
             left.extend(uploads);
             match then {
-                0 => drop(store.settle(day).unwrap()),
+                0 => drop(store.compact(day).unwrap()),
                 1 => {
                     let last = left.pop().unwrap();
                     store.revoke_upload(last.id).unwrap();
-                    store.settle(day + 1).unwrap();
+                    store.compact(day + 1).unwrap();
                 }
                 2 => {
                     drop(store);

@@ -4,21 +4,21 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::attempt::caught;
+use super::attempt::{TilesError, caught};
 use super::build::{self, Built};
+use super::context::StoreContext;
 use super::fold::fold_group;
 use super::generation::Generation;
-use super::index::Next;
+use super::index::NextFold;
 use super::journal::Written;
-use super::shared::Shared;
 use super::vetting::Vetting;
-use super::{Error, State};
+use super::{Error, MapStatus};
 
 /// How long folding rests after an error.
 const RETRY: Duration = Duration::from_secs(5);
 
 /// Where folding stands.
-pub(super) struct Folder {
+pub(super) struct FoldWorker {
     /// `None` when there is no generation to fold on.
     pub(super) on: Option<Arc<Generation>>,
     /// The last control it was made under.
@@ -28,21 +28,21 @@ pub(super) struct Folder {
 }
 
 /// Folds until the end is called.
-pub(super) fn run(shared: &Shared, mut folder: Folder) {
+pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
     let whole = shared.index.newest();
-    let mut told = Instant::now();
+    let mut logged = Instant::now();
     let mut vetting = Vetting::new(shared.policy.vetting);
     loop {
         let outcome = folder.step(shared, &mut vetting);
-        let rebuilding = shared.progress.borrow().state == State::Rebuilding;
+        let rebuilding = shared.progress.borrow().state == MapStatus::Rebuilding;
         match outcome {
             Ok(false) => return,
-            Ok(true) if !rebuilding || folder.folded >= whole => shared.set_state(State::Serving),
+            Ok(true) if !rebuilding || folder.folded >= whole => shared.set_state(MapStatus::Serving),
             Ok(true) => {}
             Err(reason) => {
-                tracing::error!(reason, "folding failed; trying again");
+                tracing::error!(%reason, "folding failed; trying again");
                 if !rebuilding {
-                    shared.set_state(State::Stalled);
+                    shared.set_state(MapStatus::Stalled);
                 }
                 if !shared.index.pause(RETRY) {
                     return;
@@ -50,21 +50,21 @@ pub(super) fn run(shared: &Shared, mut folder: Folder) {
                 folder.look_again(shared);
             }
         }
-        if folder.folded < whole && told.elapsed() > Duration::from_secs(1) {
+        if folder.folded < whole && logged.elapsed() > Duration::from_secs(1) {
             tracing::info!(folded = folder.folded, journaled = whole, "folding the journal into tiles");
-            told = Instant::now();
+            logged = Instant::now();
         }
     }
 }
 
-impl Folder {
+impl FoldWorker {
     /// Does what is next, waiting for it. False at the end.
-    fn step(&mut self, shared: &Shared, vetting: &mut Vetting) -> Result<bool, String> {
+    fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, TilesError> {
         let Some(on) = self.on.clone() else { return self.build(shared) };
         match shared.index.next(self.folded, self.applied) {
             None => Ok(false),
-            Some(Next::Build) => self.build(shared),
-            Some(Next::Records(group)) => {
+            Some(NextFold::Build) => self.build(shared),
+            Some(NextFold::Records(group)) => {
                 let newest = group.last().map_or(self.folded, |written| written.number);
                 caught(|| fold(shared, &on, &group, newest, vetting))?;
                 self.folded = newest;
@@ -74,7 +74,7 @@ impl Folder {
         }
     }
 
-    fn build(&mut self, shared: &Shared) -> Result<bool, String> {
+    fn build(&mut self, shared: &StoreContext) -> Result<bool, TilesError> {
         let built = caught(|| build::build(shared)).inspect_err(|_| {
             shared.progress.send_modify(|progress| progress.building = None);
         })?;
@@ -83,14 +83,14 @@ impl Folder {
         Ok(true)
     }
 
-    /// After a failure nobody knows what sled kept.
-    fn look_again(&mut self, shared: &Shared) {
+    /// After a failure it is uncertain what sled holds.
+    fn look_again(&mut self, shared: &StoreContext) {
         let Some(on) = &self.on else { return };
         match on.look_again() {
             Ok(folded) => self.folded = folded,
             Err(reason) => {
-                tracing::error!(reason, "the tiles cannot be used any more; folding new ones");
-                shared.set_state(State::Rebuilding);
+                tracing::error!(%reason, "the tiles cannot be used any more; folding new ones");
+                shared.set_state(MapStatus::Rebuilding);
                 shared.serve(None);
                 on.retire();
                 self.on = None;
@@ -100,11 +100,11 @@ impl Folder {
 }
 
 fn fold(
-    shared: &Shared,
+    shared: &StoreContext,
     on: &Generation,
     group: &[Written],
     newest: u64,
     vetting: &mut Vetting,
 ) -> Result<(), Error> {
-    fold_group(&shared.journal, &mut &*on, group, newest, vetting)
+    fold_group((&shared.journal, shared.write_buffer_tiles), &mut &*on, group, newest, vetting)
 }

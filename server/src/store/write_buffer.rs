@@ -1,4 +1,4 @@
-//! The tiles that a group of records changes, while they are folded.
+//! The write buffer: the tiles that a group of records reads and changes while they are folded.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -32,31 +32,29 @@ impl Source for InMemory {
     }
 }
 
-/// A map, and in memory the tiles of it that were looked at or changed.
-pub(super) struct Canvas<'a> {
+/// A map, and in memory the tiles of it that were read or changed.
+pub(super) struct WriteBuffer<'a> {
     source: &'a dyn Source,
+    /// Tiles from which on they are written before more is folded.
+    capacity: usize,
     tiles: BTreeMap<TileId, Touched>,
-    /// What is seen where there is no tile. It is not kept for each of them: uploads may ask for any number.
+    /// What is seen where there is no tile. It is not stored for each of them: uploads may ask for any number.
     nothing: Folded,
 }
-
-/// Tiles on a canvas from which on it is kept before more is folded: some hundred megabytes, with what one more upload
-/// may add. Tests fill it at once.
-const FULL: usize = if cfg!(test) { 3 } else { 2048 };
 
 struct Touched {
     folded: Folded,
     changed: bool,
 }
 
-impl<'a> Canvas<'a> {
-    pub(super) fn new(source: &'a dyn Source) -> Self {
-        Self { source, tiles: BTreeMap::new(), nothing: Folded::default() }
+impl<'a> WriteBuffer<'a> {
+    pub(super) fn new(source: &'a dyn Source, capacity: usize) -> Self {
+        Self { source, capacity, tiles: BTreeMap::new(), nothing: Folded::default() }
     }
 
-    /// Is it time to keep what is on it?
+    /// Must its tiles be written before more is folded?
     pub(super) fn is_full(&self) -> bool {
-        self.tiles.len() >= FULL
+        self.tiles.len() >= self.capacity
     }
 
     /// A tile that the record of this number changes.
@@ -86,7 +84,7 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    /// A tile that was looked at before; `None` where there is none, too.
+    /// A tile that was read before; `None` also where there is none.
     pub(super) fn looked_at(&self, id: TileId) -> Option<&Folded> {
         self.tiles.get(&id).map(|touched| &touched.folded)
     }
@@ -105,14 +103,14 @@ mod tests {
 
     /// Catches: an upload of tiles far apart that takes a hundred times as much memory as it has tiles.
     #[test]
-    fn what_is_not_there_is_not_kept() {
+    fn what_is_not_there_takes_no_memory() {
         let source = InMemory::new();
-        let mut canvas = Canvas::new(&source);
+        let mut buffer = WriteBuffer::new(&source, 1);
         let id = *some_uploads(1)[0].contribution.tiles.keys().next().unwrap();
-        assert_eq!(canvas.get(id).unwrap(), &Folded::default());
-        assert!(canvas.looked_at(id).is_none() && canvas.tiles.is_empty());
-        assert_eq!(canvas.change(id, 7).unwrap().version, 7);
-        assert_eq!(canvas.get(id).unwrap().version, 7);
-        assert_eq!(canvas.into_changed().count(), 1);
+        assert_eq!(buffer.get(id).unwrap(), &Folded::default());
+        assert!(buffer.looked_at(id).is_none() && buffer.tiles.is_empty());
+        assert_eq!(buffer.change(id, 7).unwrap().version, 7);
+        assert_eq!(buffer.get(id).unwrap().version, 7);
+        assert_eq!(buffer.into_changed().count(), 1);
     }
 }

@@ -1,4 +1,4 @@
-//! The base: the map as of a record, without any memory of who made it. It stands for the records up to
+//! The checkpoint: the map as of a record, without any memory of who made it. It stands for the records up to
 //! that one, which are deleted once it is on disk.
 //!
 //! ```text
@@ -15,14 +15,14 @@ use echofix_core::geo::TileId;
 use uuid::Uuid;
 
 use super::data_dir::put_file;
-use super::stream::{In, Out, bad};
+use super::stream::{ChecksummedReader, ChecksummedWriter, bad};
 use super::{Error, io_error};
 
 const MAGIC: [u8; 4] = *b"EFB\x01";
 
-/// A base that is sound, or the emptiness before the first record.
+/// A checkpoint that is sound, or the emptiness before the first record.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(super) struct Base {
+pub(super) struct Checkpoint {
     /// `None` for the emptiness.
     pub(super) path: Option<PathBuf>,
     /// The last record in it.
@@ -31,21 +31,21 @@ pub(super) struct Base {
     pub(super) uploads: u64,
 }
 
-impl Base {
-    /// The newest sound base of a journal in a directory.
+impl Checkpoint {
+    /// The newest sound checkpoint of a journal in a directory.
     pub(super) fn newest(root: &Path, journal: Uuid) -> Result<Self, Error> {
         let mut newest = Self::default();
         for path in files(root)? {
             match read(&path, |_, _, _| Ok(())) {
-                Ok((of, base)) if of == journal && base.last > newest.last => newest = base,
+                Ok((of, checkpoint)) if of == journal && checkpoint.last > newest.last => newest = checkpoint,
                 Ok(_) => {}
-                Err(error) => tracing::warn!(path = %path.display(), %error, "a base cannot be used"),
+                Err(error) => tracing::warn!(path = %path.display(), %error, "a checkpoint cannot be used"),
             }
         }
         Ok(newest)
     }
 
-    /// Writes a base and brings it to disk.
+    /// Writes a checkpoint and brings it to disk.
     pub(super) fn write(
         root: &Path,
         journal: Uuid,
@@ -56,7 +56,7 @@ impl Base {
         let name = format!("base-{last}");
         let mut failure = None;
         let written = put_file(root, &name, |file| {
-            let mut out = Out::new(file);
+            let mut out = ChecksummedWriter::new(file);
             out.put(&MAGIC)?;
             out.put(journal.as_bytes())?;
             for number in [last, uploads, tiles.len() as u64] {
@@ -75,7 +75,7 @@ impl Base {
         });
         match failure {
             Some(error) => Err(error),
-            None => written.map_err(io_error("writing the base")),
+            None => written.map_err(io_error("writing the checkpoint")),
         }?;
         Ok(Self { path: Some(root.join(name)), last, uploads })
     }
@@ -92,10 +92,10 @@ impl Base {
         read(path, each).map(|_| ())
     }
 
-    /// Deletes all bases but this one.
+    /// Deletes all checkpoints but this one.
     pub(super) fn remove_others(&self, root: &Path) -> Result<(), Error> {
         for path in files(root)?.into_iter().filter(|path| Some(path) != self.path.as_ref()) {
-            fs::remove_file(path).map_err(io_error("removing an older base"))?;
+            fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
         }
         Ok(())
     }
@@ -104,16 +104,16 @@ impl Base {
 fn read(
     path: &Path,
     mut each: impl FnMut(TileId, u64, Vec<u8>) -> Result<(), Error>,
-) -> Result<(Uuid, Base), Error> {
+) -> Result<(Uuid, Checkpoint), Error> {
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
-            Error::Damaged { what: format!("the base {}", path.display()), reason: error.to_string() }
+            Error::Damaged { what: format!("the checkpoint {}", path.display()), reason: error.to_string() }
         }
-        _ => io_error("reading the base")(error),
+        _ => io_error("reading the checkpoint")(error),
     };
-    let mut input = In::new(BufReader::new(File::open(path).map_err(failed)?));
+    let mut input = ChecksummedReader::new(BufReader::new(File::open(path).map_err(failed)?));
     if input.array().map_err(failed)? != MAGIC {
-        return Err(failed(bad("it is no base")));
+        return Err(failed(bad("it is no checkpoint")));
     }
     let journal = Uuid::from_bytes(input.array().map_err(failed)?);
     let mut number = || input.number().map_err(failed);
@@ -123,7 +123,7 @@ fn read(
         each(id, version, encoded)?;
     }
     input.end().map_err(failed)?;
-    Ok((journal, Base { path: Some(path.to_owned()), last, uploads }))
+    Ok((journal, Checkpoint { path: Some(path.to_owned()), last, uploads }))
 }
 
 fn files(root: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -146,19 +146,19 @@ mod tests {
     use echofix_core::geo::Zone;
 
     #[test]
-    fn the_newest_sound_base_of_the_journal_counts() {
+    fn the_newest_sound_checkpoint_of_the_journal_counts() {
         let dir = tempfile::tempdir().unwrap();
         let (ours, theirs) = (Uuid::from_u128(1), Uuid::from_u128(2));
         let id = |x| TileId { zone: Zone::from_epsg(32614).unwrap(), y: -2, x };
         let tiles = [id(1), id(2)];
         let write = |journal, last| {
             let tile = |id: TileId| Ok((3, vec![id.x as u8; 5]));
-            Base::write(dir.path(), journal, (last, 2), &tiles, tile).unwrap()
+            Checkpoint::write(dir.path(), journal, (last, 2), &tiles, tile).unwrap()
         };
-        assert_eq!(Base::newest(dir.path(), ours).unwrap(), Base::default());
+        assert_eq!(Checkpoint::newest(dir.path(), ours).unwrap(), Checkpoint::default());
         let (older, newer) = (write(ours, 5), write(ours, 9));
         write(theirs, 11);
-        assert_eq!(Base::newest(dir.path(), ours).unwrap(), newer);
+        assert_eq!(Checkpoint::newest(dir.path(), ours).unwrap(), newer);
         let mut seen = Vec::new();
         newer
             .visit(|id, version, encoded| {
@@ -174,9 +174,9 @@ mod tests {
             let mut bad = good.clone();
             bad[at] ^= 8;
             fs::write(&path, &bad).unwrap();
-            assert_eq!(Base::newest(dir.path(), ours).unwrap(), older, "byte {at}");
+            assert_eq!(Checkpoint::newest(dir.path(), ours).unwrap(), older, "byte {at}");
             fs::write(&path, &good[..at]).unwrap();
-            assert_eq!(Base::newest(dir.path(), ours).unwrap(), older, "cut at {at}");
+            assert_eq!(Checkpoint::newest(dir.path(), ours).unwrap(), older, "cut at {at}");
         }
         fs::write(&path, &good).unwrap();
         newer.remove_others(dir.path()).unwrap();
