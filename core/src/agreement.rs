@@ -1,9 +1,9 @@
 //! How well do points agree with the map? Nearest-neighbour questions to a k-d tree of the map's
-//! points, which is how the paper keeps its map (Sec. "Mapping").
+//! points; the paper's map is such a tree (Sec. "Mapping").
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-/// The map's points around a place, ready for nearest-neighbour questions.
+/// The map's points around a position, ready for nearest-neighbour questions.
 pub struct PointIndex {
     /// Points relative to `origin`: f32 is exact to a millimetre within some kilometres only.
     tree: Option<ImmutableKdTree<f32, 2>>,
@@ -22,7 +22,7 @@ impl PointIndex {
         Self { tree, origin, points: local.len() }
     }
 
-    /// Bytes held, approximately: a tree of a known library, not looked into.
+    /// Bytes held, approximately: the library does not tell what its tree takes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.points * 2 * size_of::<[f32; 2]>()
@@ -36,7 +36,7 @@ impl PointIndex {
         Some(f64::from(nearest.distance).sqrt())
     }
 
-    /// Share of the points, map metres, that have a map point within `radius_m`; 0 without points.
+    /// Fraction of the points, map metres, that have a map point within `radius_m`; 0 without points.
     #[must_use]
     pub fn matched_fraction(&self, points: impl IntoIterator<Item = [f64; 2]>, radius_m: f64) -> f64 {
         let (mut matched, mut all) = (0_u32, 0_u32);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn the_share_counts_points_within_the_radius() {
+    fn the_fraction_counts_points_within_the_radius() {
         let index = PointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
         let asked = [[1000.2, 0.0], [1005.0, 0.0], [1010.0, 0.3], [1020.0, 0.0]];
         assert!((index.matched_fraction(asked, 0.5) - 0.5).abs() < 1e-12);

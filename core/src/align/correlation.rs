@@ -68,6 +68,14 @@ impl Lattice {
         (self.lag as f64 * CELL_M, self.turns as f64 * self.yaw_step_rad)
     }
 
+    /// True when a refined correction lies on the edge of the search or beyond.
+    #[must_use]
+    pub fn is_left_by(&self, correction: &Pose2) -> bool {
+        let (half_m, half_yaw_rad) = self.half_widths();
+        let shift = correction.x_m.abs().max(correction.y_m.abs());
+        shift > half_m - CELL_M || correction.yaw_rad.abs() > half_yaw_rad
+    }
+
     /// True when an index's shift lies on the edge of the search.
     #[must_use]
     pub fn is_at_edge(&self, index: usize) -> bool {
@@ -105,18 +113,18 @@ impl Correlation {
             let slot = &mut best[index % plane];
             *slot = slot.map(|so_far| higher(so_far, index));
         }
-        let mut peaks = Vec::new();
-        while peaks.len() < most {
+        let mut maxima = Vec::new();
+        while maxima.len() < most {
             let Some(index) = best.iter().copied().flatten().reduce(higher) else { break };
-            let peak = self.lattice.hypothesis(index);
+            let maximum = self.lattice.hypothesis(index);
             for (shift, slot) in best.iter_mut().enumerate() {
-                if self.lattice.hypothesis(shift).distance_m(&peak) < separation_m {
+                if self.lattice.hypothesis(shift).distance_m(&maximum) < separation_m {
                     *slot = None;
                 }
             }
-            peaks.push(index);
+            maxima.push(index);
         }
-        peaks
+        maxima
     }
 }
 

@@ -17,7 +17,7 @@ use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::pose::Pose2;
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, PLACES, TileExpectation};
 
 use crate::store::{self, MapStore};
@@ -240,9 +240,9 @@ impl Locator {
         let place = self.place(question)?;
         let found = self.tiles.get(&*self.store, place.frame).map_err(Refusal::Store)?;
         let task =
-            Task { frame: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
+            Task { square: place.frame, tiles: &found.tiles, batch: &question.batch, prior: &place.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
+        let again = admitted.slot.aligner().align(&task, EngineKind::Fft.engine(), &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < CONFIRMED_WITHIN_M)
     }
 
@@ -284,8 +284,9 @@ impl Locator {
         let window = fetching.elapsed();
         let aligning = Instant::now();
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
-        let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
+        let task = Task { square: frame, tiles: &found.tiles, batch: &question.batch, prior: &prior };
+        let engine = EngineKind::from(self.config.engine).engine();
+        let mut alignment = aligner.align(&task, engine, &search, &integrity);
         let correction = alignment.correction;
         let wide = self.searched_wide(question, &grid, &prior, &alignment, aligner)?;
         let searched_wide = wide.is_some();
@@ -327,10 +328,10 @@ impl Locator {
         Ok(Place { grid, prior, frame })
     }
 
-    fn frame(&self, grid: &Grid, prior: &Prior) -> Frame {
+    fn frame(&self, grid: &Grid, prior: &Prior) -> MapSquare {
         let search = self.config.search();
         let reach_m = search.sigmas * prior.sigma_position_m;
-        Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
+        MapSquare::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
     }
 
     /// A search of a wide area with all headings, when the answer lies on the edge of the prior's or
@@ -358,8 +359,8 @@ impl Locator {
         };
         let frame = self.frame(grid, &wide);
         let found = self.tiles.get(&*self.store, frame).map_err(Refusal::Store)?;
-        let task = Task { frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
-        let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
+        let task = Task { square: frame, tiles: &found.tiles, batch: &question.batch, prior: &wide };
+        let mut elsewhere = aligner.align(&task, EngineKind::Fast.engine(), &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {
             elsewhere.verdict = Verdict::PriorOutsideSearch;
         }
@@ -371,7 +372,7 @@ impl Locator {
 struct Place {
     grid: Grid,
     prior: Prior,
-    frame: Frame,
+    frame: MapSquare,
 }
 
 /// Two engines agree when their answers lie this near, metres.
@@ -401,7 +402,7 @@ fn too_few(batch: &Batch, least: usize) -> Refusal {
     }
 }
 
-fn no_map(frame: Frame, at: LatLon) -> Refusal {
+fn no_map(frame: MapSquare, at: LatLon) -> Refusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
     Refusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
 }

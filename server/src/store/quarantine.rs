@@ -10,7 +10,7 @@ use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
 use echofix_core::varint::{Reader, Writer};
 use echofix_core::vetting::Reason;
-use echofix_core::vetting::alarm::Quarantined as Entry;
+use echofix_core::vetting::alarm::QuarantinedUpload as Entry;
 
 use super::vetting::Quarantined;
 

@@ -9,7 +9,7 @@ use echofix_core::geo::{Grid, TileId, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::{Gate, Scan};
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::window::{Frame, Window};
+use echofix_core::window::{MapSquare, Window};
 use echofix_core::{doppler, odometry};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
@@ -113,7 +113,7 @@ impl RadarMap {
     }
 
     /// The map in a square.
-    pub fn window(&self, frame: Frame) -> Window {
+    pub fn window(&self, frame: MapSquare) -> Window {
         Window::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
     }
 
