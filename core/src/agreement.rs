@@ -4,14 +4,14 @@
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 /// The map's points around a position, ready for nearest-neighbour questions.
-pub struct PointIndex {
+pub struct MapPointIndex {
     /// Points relative to `origin`: f32 is exact to a millimetre within some kilometres only.
     tree: Option<ImmutableKdTree<f32, 2>>,
     origin: [f64; 2],
     points: usize,
 }
 
-impl PointIndex {
+impl MapPointIndex {
     /// Indexes points, map metres. No points make an index that nothing agrees with.
     #[must_use]
     pub fn new(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
@@ -68,7 +68,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_nearest_is_what_a_full_search_finds(map in points(1..300), query in points(1..20)) {
-            let index = PointIndex::new(map.iter().copied());
+            let index = MapPointIndex::new(map.iter().copied());
             for q in query {
                 let best = map.iter().map(|p| (p[0] - q[0]).hypot(p[1] - q[1])).fold(f64::INFINITY, f64::min);
                 prop_assert!((index.distance_m(q).unwrap() - best).abs() < 1e-3);
@@ -78,16 +78,16 @@ mod tests {
 
     #[test]
     fn the_fraction_counts_points_within_the_radius() {
-        let index = PointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
+        let index = MapPointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
         let asked = [[1000.2, 0.0], [1005.0, 0.0], [1010.0, 0.3], [1020.0, 0.0]];
         assert!((index.matched_fraction(asked, 0.5) - 0.5).abs() < 1e-12);
-        assert!(PointIndex::new([]).matched_fraction(asked, 0.5).abs() < 1e-12);
-        assert!(PointIndex::new([]).distance_m([0.0, 0.0]).is_none());
+        assert!(MapPointIndex::new([]).matched_fraction(asked, 0.5).abs() < 1e-12);
+        assert!(MapPointIndex::new([]).distance_m([0.0, 0.0]).is_none());
     }
 
     #[test]
     fn many_points_on_one_line_are_indexed_too() {
-        let index = PointIndex::new((0..5000).map(|i| [5.0, f64::from(i % 7)]));
+        let index = MapPointIndex::new((0..5000).map(|i| [5.0, f64::from(i % 7)]));
         assert!((index.distance_m([6.0, 3.0]).unwrap() - 1.0).abs() < 1e-5);
     }
 }

@@ -10,8 +10,9 @@
 //!
 //! ```
 //! use echofix_core::align::{Prior, verdict::Verdict};
+//! use echofix_core::align_once;
 //! use echofix_core::odometry::Trajectory;
-//! use echofix_core::once::{OnceOptions, VehicleScans, align_once};
+//! use echofix_core::once::{OnceOptions, VehicleScans};
 //! use echofix_core::pose::Pose2;
 //! use echofix_core::scan::{Mount, Scan};
 //!
@@ -91,3 +92,5 @@ pub mod tile;
 pub mod varint;
 pub mod vetting;
 pub mod window;
+
+pub use once::align_once;

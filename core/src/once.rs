@@ -148,7 +148,7 @@ pub fn align_once(
     let square = MapSquare::around(zone, position, search.extent_m, search_m);
     // A tile's weights take in the hits of its neighbours.
     let reach_m = 0.5 * square.side as f64 * CELL_M + 2.0 * TILE_M;
-    let tiles = tiles(zone, map_points, position, reach_m)?;
+    let tiles = tiles_of(zone, map_points, position, reach_m)?;
     let known = square.tiles().filter(|id| tiles.contains_key(id));
     let weights: Vec<_> = known.map(|id| Arc::new(TileWeights::new(id, |at| tiles.get(&at)))).collect();
     if weights.is_empty() {
@@ -189,7 +189,7 @@ fn batch(seen: &VehicleScans<'_>, gate: &Gate) -> Result<Batch, Error> {
 }
 
 /// The map's tiles around a position, as one survey would have made them.
-fn tiles(
+pub(crate) fn tiles_of(
     zone: Zone,
     points: &[[f64; 2]],
     position: [f64; 2],

@@ -79,7 +79,7 @@ fn fft_length(least: usize) -> usize {
     n
 }
 
-/// An occupied cell of a [`Window`]. Paper only: used by the evaluation.
+/// An occupied cell of a [`EvidenceWindow`]. Paper only: used by the evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowCell {
     /// Column, cells from the window's west side.
@@ -102,14 +102,14 @@ impl WindowCell {
 /// The map's evidence in a square. Paper only: used by the evaluation; the service aligns on
 /// [`crate::align::view::MapView`].
 #[derive(Debug, Clone)]
-pub struct Window {
+pub struct EvidenceWindow {
     /// Which square.
     pub square: MapSquare,
     /// Occupied cells.
     pub cells: Vec<WindowCell>,
 }
 
-impl Window {
+impl EvidenceWindow {
     /// Stitches a window from the tiles that exist in its square.
     #[must_use]
     pub fn stitch<'a>(square: MapSquare, tiles: impl IntoIterator<Item = (TileId, &'a Tile)>) -> Self {
@@ -171,7 +171,7 @@ mod tests {
         )])
         .unwrap();
         let square = MapSquare::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
-        let window = Window::stitch(square, [(id, &tile)]);
+        let window = EvidenceWindow::stitch(square, [(id, &tile)]);
         let [x, y] = square.to_metres(window.cells[0].centroid());
         assert!((x - position[0]).abs() < 1e-3 && (y - position[1]).abs() < 1e-3, "{x} {y}");
     }

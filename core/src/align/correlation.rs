@@ -150,4 +150,13 @@ mod tests {
         assert!((second.yaw_rad - 0.02).abs() < 1e-12);
         assert!(lattice.is_at_edge(found[1]) && !lattice.is_at_edge(found[0]));
     }
+
+    /// Catches an edge that is taken for inside: the last cell of the search may be the slope of a maximum beyond.
+    #[test]
+    fn a_search_is_left_by_its_last_cell_and_beyond_its_last_heading() {
+        let lattice = Lattice { lag: 30, turns: 1, yaw_step_rad: 0.02 };
+        let left = |x_m, y_m, yaw_rad| lattice.is_left_by(&Pose2::new(x_m, y_m, yaw_rad));
+        assert!(!left(2.8, -2.8, 0.015));
+        assert!(left(2.95, 0.0, 0.0) && left(0.0, -2.95, 0.0) && left(0.0, 0.0, 0.021));
+    }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::fft::{FftWorkspace, Plans, Spectrum};
 use super::view::ImageView;
 use crate::evidence::InverseSensorModel;
-use crate::window::{MapSquare, Window};
+use crate::window::{EvidenceWindow, MapSquare};
 
 /// Numbers of hits that have a value of their own; more are worth no more.
 const HITS: u32 = 64;
@@ -24,7 +24,7 @@ pub struct MapImage {
 impl MapImage {
     /// Paper only, used by the evaluation: occupancy of map and batch, with the prior belief subtracted.
     #[must_use]
-    pub fn of_evidence(window: &Window, model: &InverseSensorModel, plans: Arc<Plans>) -> Self {
+    pub fn of_evidence(window: &EvidenceWindow, model: &InverseSensorModel, plans: Arc<Plans>) -> Self {
         let square = window.square;
         let mut image = vec![0.0_f32; square.side * square.side];
         for cell in &window.cells {

@@ -27,10 +27,10 @@ pub mod fft;
 mod fft2;
 pub mod image;
 pub mod localizability;
+mod occupancy_grid;
 pub mod pipeline;
 mod projection;
 pub mod ranking;
-mod raster;
 pub mod refine;
 pub mod score;
 mod search;
@@ -51,15 +51,15 @@ pub use search::{Prior, Search};
 use crate::batch::Batch;
 use crate::pose::Pose2;
 use image::MapImage;
+use occupancy_grid::OccupancyGrid;
 use projection::Projection;
-use raster::Raster;
 use simd::Isa;
 
-/// Finds the pose of a batch on a map (paper, alg. fastGlobalAlign, whose lines are numbered here), and the
-/// correlation it is the maximum of.
+/// Finds the pose of a batch on a map, and the correlation it is the maximum of: the paper's algorithm
+/// fastGlobalAlign, by its line numbers.
 ///
-/// Lines 4 and 5 move into the loop, for the batch's points are turned instead of its spectrum: a turned
-/// spectrum is interpolated, turned points are exact, and drawing them costs little beside the transform.
+/// Lines 4 and 5 come in the loop, after line 10: the batch's points are turned instead of its spectrum. A
+/// turned spectrum is interpolated; turned points are exact, and drawing them costs little beside the transform.
 #[must_use]
 pub fn fast_global_align(
     map: &MapImage,
@@ -68,30 +68,32 @@ pub fn fast_global_align(
     search: &Search,
     workspace: &mut CorrelationWorkspace,
 ) -> (Pose2, Correlation) {
-    let CorrelationWorkspace { pixels, raster, fft } = workspace;
-    let (square, map_spectrum) = (map.square(), map.spectrum()); // l. 1 and 2, once for all batches here
-    let points = || batch.points.iter().copied(); // l. 3, in `Batch::organise`
+    let CorrelationWorkspace { pixels, grid, fft } = workspace;
+    let square = map.square(); // l. 1: the grid of the map's points, drawn once for all batches
+    let map_spectrum = map.spectrum(); // l. 2: its spectrum
+    let points = &batch.points; // l. 3: organised by odometry, in `Batch::organise`
     let lattice = Lattice::of(prior, search);
-    let n = lattice.lag; // l. 6
-    let m = lattice.turns; // l. 7
-    let projection =
-        Projection { square, cells: 1, side: square.side, prior, reach_m: search.extent_m, lag: n };
-    let mut values = vec![0.0; lattice.headings() * lattice.plane()]; // R
+    let n = lattice.lag; // l. 6: half width of the shifts
+    let m = lattice.turns; // l. 7: half width of the headings
+    let projection = Projection::of_cells(square, prior, search.extent_m, n);
+    let mut values = vec![0.0; lattice.headings() * lattice.plane()];
+    // l. 8: for each heading
     for (i, shifts) in (0..=2 * m).zip(values.chunks_exact_mut(lattice.plane())) {
-        // l. 8
-        let turn = Pose2::new(0.0, 0.0, lattice.turn_rad(i)); // l. 9
-        projection.pixel_indices(Isa::best(), turn, points(), pixels); // l. 10, of points
-        raster.draw(square.side, pixels, n * square.side + n, map.cell_values()); // l. 4
-        map.plans().correlate(map_spectrum, raster.image(), n, fft, shifts); // l. 5 and 11
+        let turn = Pose2::new(0.0, 0.0, lattice.turn_rad(i)); // l. 9: by how much
+        projection.pixel_indices(Isa::best(), turn, points.iter().copied(), pixels); // l. 10: points, turned
+        grid.draw(square.side, pixels, n * square.side + n, map.cell_values()); // l. 4: their grid
+        // l. 5: its spectrum; l. 11: times the map's, transformed back, shifts of -n to n.
+        map.plans().correlate(map_spectrum, grid.image(), n, fft, shifts);
     } // l. 12
     let correlation = Correlation { lattice, values };
-    (prior.corrected(&lattice.hypothesis(correlation.argmax())), correlation) // l. 13
+    let best = lattice.hypothesis(correlation.argmax()); // l. 13: the maximum
+    (prior.corrected(&best), correlation)
 }
 
 /// Buffers of [`fast_global_align`] that one thread reuses from request to request.
 #[derive(Default)]
 pub struct CorrelationWorkspace {
     pixels: Vec<u32>,
-    raster: Raster,
+    grid: OccupancyGrid,
     fft: fft::FftWorkspace,
 }

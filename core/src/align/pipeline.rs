@@ -102,3 +102,6 @@ impl Pipeline {
         Ranking { question, field, refined: &self.refined }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -31,6 +31,12 @@ impl<'a> Projection<'a> {
         Self { square: image.square, cells: image.cells, side: image.side, prior, reach_m, lag }
     }
 
+    /// Onto an image of a square whose pixels are cells.
+    #[must_use]
+    pub fn of_cells(square: MapSquare, prior: &'a Prior, reach_m: f64, lag: usize) -> Self {
+        Self { square, cells: 1, side: square.side, prior, reach_m, lag }
+    }
+
     /// Writes for each point the index of its pixel, under a correction of the prior, moved south-west by
     /// the lag along both axes: where the strips of its shifts begin.
     ///

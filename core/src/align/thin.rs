@@ -51,8 +51,8 @@ impl Thinner {
     }
 
     /// The grid, and the highest number of earlier passes: so many more can be written above it.
-    fn begin(&mut self, reach_m: f32, block_m: f32, numbers: usize) -> (Grid, u32) {
-        let grid = Grid::new(reach_m, block_m);
+    fn begin(&mut self, reach_m: f32, block_m: f32, numbers: usize) -> (ThinningGrid, u32) {
+        let grid = ThinningGrid::new(reach_m, block_m);
         let full = (u32::MAX - self.before) as usize <= numbers;
         if full || self.blocks.len() != grid.blocks() {
             self.blocks.clear();
@@ -64,13 +64,13 @@ impl Thinner {
 }
 
 /// Blocks around the body.
-struct Grid {
+struct ThinningGrid {
     half: f32,
     per_metre: f32,
     side: usize,
 }
 
-impl Grid {
+impl ThinningGrid {
     fn new(reach_m: f32, block_m: f32) -> Self {
         // One more on either side: a mean may be rounded out of its block.
         let half = (reach_m / block_m).ceil() + 1.0;
@@ -120,7 +120,7 @@ mod tests {
             (out, votes.round() as usize)
         };
         let mut used = Thinner { before: u32::MAX - 1700, ..Thinner::default() };
-        used.blocks.resize(Grid::new(50.0, 0.4).blocks(), u32::MAX - 1700);
+        used.blocks.resize(ThinningGrid::new(50.0, 0.4).blocks(), u32::MAX - 1700);
         for (reach_m, block_m) in
             [(50.0, 0.4), (50.0, 0.4), (50.0, 0.4), (5.0, 0.4), (50.0, 1.0), (50.0, 0.4)]
         {

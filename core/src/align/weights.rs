@@ -7,7 +7,7 @@
 //! that every engine finds the same maximum.
 
 use super::smoothing::{self, CellMass, HALO};
-use crate::agreement::PointIndex;
+use crate::agreement::MapPointIndex;
 use crate::datum::Datum;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
@@ -38,7 +38,7 @@ pub struct TileWeights {
     /// Mean weights of [`COARSE`] x [`COARSE`] cells.
     coarse: Box<[u8]>,
     /// The points of the tile and its borders.
-    pub points: PointIndex,
+    pub points: MapPointIndex,
     /// What stands in the tile itself, block by block.
     pub blocks: Box<[OccupiedBlock]>,
     /// Occupied cells of the tile itself.
@@ -60,7 +60,7 @@ impl TileWeights {
         let masses = around(id, &tile_at);
         let fine = smoothing::weights(&masses);
         let [x0, y0] = id.origin();
-        let points = PointIndex::new(
+        let points = MapPointIndex::new(
             masses.iter().map(|CellMass { at: [x, y], .. }| [x0 + x * CELL_M, y0 + y * CELL_M]),
         );
         Self {

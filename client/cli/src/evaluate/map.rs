@@ -9,7 +9,7 @@ use echofix_core::geo::{Grid, TileId, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::scan::{Gate, Scan};
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::window::{MapSquare, Window};
+use echofix_core::window::{EvidenceWindow, MapSquare};
 use echofix_core::{doppler, odometry};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
@@ -113,8 +113,8 @@ impl RadarMap {
     }
 
     /// The map in a square.
-    pub fn window(&self, frame: MapSquare) -> Window {
-        Window::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    pub fn window(&self, frame: MapSquare) -> EvidenceWindow {
+        EvidenceWindow::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
     }
 
     /// One tile, where there is one.

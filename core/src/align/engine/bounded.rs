@@ -34,7 +34,7 @@ pub struct Bounded {
 
 /// What is known of the last map, and buffers.
 #[derive(Default)]
-struct Buffers {
+struct BoundedBuffers {
     /// What `bounds` was made of.
     of: Option<WindowTiles>,
     /// The largest weight of the 8 x 8 cells north-east of each cell: columns of one remainder by 8
@@ -109,12 +109,13 @@ impl Bounded {
         candidates: &mut Vec<Candidate>,
     ) {
         let isa = self.isa.unwrap_or_default();
-        let cells = workspace.buffers::<Buffers>().cells(isa, question);
+        let cells = workspace.buffers::<BoundedBuffers>().cells(isa, question);
         if cells > DENSE {
             return Fft.search(question, workspace, candidates);
         }
         Fast::on(isa).search(question, workspace, candidates);
-        let Some(best) = workspace.buffers::<Buffers>().maximum(isa, question, candidates.first()) else {
+        let Some(best) = workspace.buffers::<BoundedBuffers>().maximum(isa, question, candidates.first())
+        else {
             return Fft.search(question, workspace, candidates);
         };
         let top = question.candidate(best.index, best.sum, cells);
@@ -124,7 +125,7 @@ impl Bounded {
     }
 }
 
-impl Buffers {
+impl BoundedBuffers {
     /// How many cells the batch occupies under the prior's heading.
     fn cells(&mut self, isa: Isa, question: &SearchQuestion) -> usize {
         question.occupied(isa, question.lattice.turns, &mut self.distinct, &mut self.pixels);

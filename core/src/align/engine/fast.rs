@@ -52,7 +52,7 @@ pub struct Fast {
 
 /// Buffers, and the instruction set they are filled with.
 #[derive(Default)]
-struct Buffers {
+struct FastBuffers {
     isa: Isa,
     pixels: Vec<u32>,
     sums: Vec<[u32; WIDE]>,
@@ -90,7 +90,7 @@ impl Engine for Fast {
         workspace: &mut EngineWorkspace,
         candidates: &mut [Vec<Candidate>],
     ) {
-        let buffers = workspace.buffers::<Buffers>();
+        let buffers = workspace.buffers::<FastBuffers>();
         buffers.isa = self.isa.unwrap_or_default();
         for (question, candidates) in questions.iter().zip(candidates) {
             buffers.search(question, candidates);
@@ -98,7 +98,7 @@ impl Engine for Fast {
     }
 }
 
-impl Buffers {
+impl FastBuffers {
     fn search(&mut self, question: &SearchQuestion, candidates: &mut Vec<Candidate>) {
         let coarse = question.view.coarse();
         let shifts = 2 * question.lattice.lag.div_ceil(coarse.cells) + 1;

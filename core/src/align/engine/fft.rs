@@ -22,7 +22,7 @@ pub struct Fft;
 
 /// Plans, the spectrum of the last map, and buffers.
 #[derive(Default)]
-struct Buffers {
+struct FftBuffers {
     plans: BTreeMap<usize, Arc<Plans>>,
     map: Option<(WindowTiles, MapImage)>,
     correlation: CorrelationWorkspace,
@@ -41,14 +41,14 @@ impl Engine for Fft {
         workspace: &mut EngineWorkspace,
         candidates: &mut [Vec<Candidate>],
     ) {
-        let buffers = workspace.buffers::<Buffers>();
+        let buffers = workspace.buffers::<FftBuffers>();
         for (question, candidates) in questions.iter().zip(candidates) {
             buffers.search(question, candidates);
         }
     }
 }
 
-impl Buffers {
+impl FftBuffers {
     fn search(&mut self, question: &SearchQuestion, candidates: &mut Vec<Candidate>) {
         candidates.clear();
         self.transform(question);

@@ -25,7 +25,7 @@ pub struct Reference {
 
 /// The transform of the last size, and the batch's cells.
 #[derive(Default)]
-struct Buffers {
+struct ReferenceBuffers {
     fft: Option<Fft2>,
     distinct: DistinctPixels,
     occupied: Vec<u32>,
@@ -65,14 +65,14 @@ impl Engine for Reference {
         workspace: &mut EngineWorkspace,
         candidates: &mut [Vec<Candidate>],
     ) {
-        let buffers = workspace.buffers::<Buffers>();
+        let buffers = workspace.buffers::<ReferenceBuffers>();
         for (question, candidates) in questions.iter().zip(candidates) {
             buffers.search(self.turning, question, candidates);
         }
     }
 }
 
-impl Buffers {
+impl ReferenceBuffers {
     /// The batch under a heading, drawn about the array's origin: what lies south or west of the prior
     /// is drawn at the array's other end. Spectra turn about the origin and nothing else.
     fn draw(&mut self, question: &SearchQuestion, heading: usize) -> Vec<Complex64> {
