@@ -7,7 +7,7 @@ use super::view::ImageView;
 use crate::evidence::InverseSensorModel;
 use crate::window::{EvidenceWindow, MapSquare};
 
-/// Numbers of hits that have a value of their own; more are worth no more.
+/// Numbers of hits that have a value of their own; more have the last one.
 const HITS: u32 = 64;
 
 /// A map's image and its spectrum (fastGlobalAlign l. 1-2), and the value of a batch's cell on it. It depends on
@@ -61,7 +61,7 @@ impl MapImage {
         self.norm
     }
 
-    /// Values of a batch's cell by its hits, from 0; more hits are worth the last.
+    /// Values of a batch's cell by its hits, from 0; more hits have the last one.
     #[must_use]
     pub fn cell_values(&self) -> &[f32] {
         &self.cell_value

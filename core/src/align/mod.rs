@@ -13,7 +13,7 @@
 //! 5. [`answer`], [`verdict`]: the covariance, whether the answer may be used, and how large its error can be.
 //!
 //! [`pipeline`] is 1 to 4 without the drift: localizing ([`Aligner`], which adds the drift and 5), vetting
-//! ([`crate::vetting::part::PartMatcher`]) and [`localizability`], which asks the map alone what a fix can be
+//! ([`crate::vetting::matching::PartMatcher`]) and [`localizability`], which asks the map alone what a fix can be
 //! expected to be, are three ways to use it.
 
 mod aligner;

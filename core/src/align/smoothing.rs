@@ -1,4 +1,4 @@
-//! Hits smoothed to the sensor's noise, and the bytes that their masses are worth.
+//! Hits smoothed to the sensor's noise, and the weights that their masses become.
 
 use std::f32::consts::{FRAC_1_SQRT_2, LN_2};
 use std::sync::LazyLock;
@@ -10,7 +10,7 @@ use crate::geo::{CELL_M, CELLS_PER_TILE};
 const SIGMA_M: f64 = 0.2;
 /// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the true pose then
 /// exceeds the candidates elsewhere by more; for the last centimetres the weights are squared (see
-/// [`super::score::Field::sharpened`]).
+/// [`super::score::ScoreField::sharpened`]).
 const KNEE: f32 = 0.01;
 /// Bytes for a unit of the natural logarithm.
 pub const STEPS: f32 = 28.0;
@@ -90,7 +90,7 @@ fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], cell_mass: &CellMass) 
     }
 }
 
-/// What a mass in knees is worth. Compiled for an instruction set with what calls it, as is the next one.
+/// The weight of a mass in knees. Compiled for an instruction set with what calls it, as is the next one.
 #[inline(always)]
 fn byte(mass: f32) -> u8 {
     /// Beyond it floats are whole numbers, so that a sum with it is rounded to one, in its last bits.

@@ -1,5 +1,5 @@
 //! A batch, thinned: one point for each block that holds any. Ten returns from one lamp post in one
-//! batch are not ten witnesses.
+//! batch are not independent.
 
 /// Side of the blocks that the service thins to, metres.
 pub const BLOCK_M: f32 = 0.4;
@@ -25,7 +25,7 @@ impl Thinner {
         let mut len = 0;
         for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
             let block = &mut self.blocks[grid.block(x, y)];
-            // Whether a block was met cannot be foreseen: no branch depends on it.
+            // Whether a block has points already cannot be predicted: no branch depends on it.
             let first = *block <= before;
             len += u32::from(first);
             *block = if first { before + len } else { *block };

@@ -93,7 +93,7 @@ pub enum Verdict {
         /// The fraction that is.
         matched_fraction: f64,
     },
-    /// The best pose lies on the edge of the search: the prior is wrong by more than it says.
+    /// The best pose lies on the edge of the search: the prior is wrong by more than its sigmas allow.
     PriorOutsideSearch,
     /// The map covers too little of what the batch saw.
     TooLittleMap {

@@ -20,7 +20,7 @@ pub const COARSE: usize = 4;
 
 const SIDE: usize = CELLS_PER_TILE;
 
-/// A block of [`COARSE`] x [`COARSE`] cells that holds any hits: what one vote of a batch may come from.
+/// A block of [`COARSE`] x [`COARSE`] cells with any hits: a possible source of one vote of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OccupiedBlock {
     /// Mean position of its hits, metres from the tile's south-west corner.

@@ -21,7 +21,7 @@ const WIDE: usize = 32;
 /// Shifts to a strip around a candidate: the least power of two that holds the 11 of [`FINE`].
 const NARROW: usize = 16;
 /// Points that a scan of all hypotheses counts, at most, or little more. A scan's time is in proportion; a
-/// batch of a town has some 2000 points, so it counts every third. What that costs is the miss rate.
+/// batch of a town has some 3200 points, so it counts every fifth. What that costs is the miss rate.
 const SCANNED: usize = 600;
 /// Points that the search around a candidate counts, at most, or little more. More than a scan's, for these
 /// sums rank the candidates, and only some hundred hypotheses are tried. What it costs is the miss rate.

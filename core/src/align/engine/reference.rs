@@ -1,4 +1,4 @@
-//! The yardstick: the correlation in double precision with complex transforms, the batch drawn anew
+//! What the other engines are measured by: the correlation in double precision with complex transforms, the batch drawn anew
 //! for every heading. And the paper's own shortcut, which turns the batch's spectrum instead.
 
 use rustfft::num_complex::Complex64;

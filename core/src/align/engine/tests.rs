@@ -19,7 +19,7 @@ use crate::window::MapSquare;
 
 const EXTENT_M: f64 = 6.0;
 
-/// A small random scene: walls, posts and clutter; a batch that saw some of it, and some that is gone.
+/// A small random scene: walls, posts and clutter; a batch that saw a part of it.
 struct Scene {
     view: MapView,
     batch: Batch,

@@ -1,4 +1,4 @@
-//! A field of posts, seen from its middle, and an engine that returns what it is told to.
+//! A field of posts, seen from its middle, and an engine that returns given candidates.
 
 use super::*;
 use crate::geo::Zone;
@@ -57,7 +57,7 @@ fn ready() -> (Pipeline, Prior, Search) {
 }
 
 /// Catches a threshold that refines everything or the expected candidate never: vetting would take the
-/// position where an upload believes to be for the one where it lies.
+/// position that an upload claims for the one that the map shows.
 #[test]
 fn what_cannot_be_the_best_is_not_refined_unless_it_is_expected() {
     let (mut pipeline, prior, search) = ready();
