@@ -1,17 +1,17 @@
 //! How well do points agree with the map? Nearest-neighbour questions to a k-d tree of the map's
-//! points, which is how the paper keeps its map (Sec. "Mapping").
+//! points; the paper's map is such a tree (Sec. "Mapping").
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-/// The map's points around a place, ready for nearest-neighbour questions.
-pub struct PointIndex {
+/// The map's points around a position, ready for nearest-neighbour questions.
+pub struct MapPointIndex {
     /// Points relative to `origin`: f32 is exact to a millimetre within some kilometres only.
     tree: Option<ImmutableKdTree<f32, 2>>,
     origin: [f64; 2],
     points: usize,
 }
 
-impl PointIndex {
+impl MapPointIndex {
     /// Indexes points, map metres. No points make an index that nothing agrees with.
     #[must_use]
     pub fn new(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
@@ -22,7 +22,7 @@ impl PointIndex {
         Self { tree, origin, points: local.len() }
     }
 
-    /// Bytes held, approximately: a tree of a known library, not looked into.
+    /// Bytes held, approximately: the library does not tell what its tree takes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.points * 2 * size_of::<[f32; 2]>()
@@ -36,7 +36,7 @@ impl PointIndex {
         Some(f64::from(nearest.distance).sqrt())
     }
 
-    /// Share of the points, map metres, that have a map point within `radius_m`; 0 without points.
+    /// Fraction of the points, map metres, that have a map point within `radius_m`; 0 without points.
     #[must_use]
     pub fn matched_fraction(&self, points: impl IntoIterator<Item = [f64; 2]>, radius_m: f64) -> f64 {
         let (mut matched, mut all) = (0_u32, 0_u32);
@@ -68,7 +68,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_nearest_is_what_a_full_search_finds(map in points(1..300), query in points(1..20)) {
-            let index = PointIndex::new(map.iter().copied());
+            let index = MapPointIndex::new(map.iter().copied());
             for q in query {
                 let best = map.iter().map(|p| (p[0] - q[0]).hypot(p[1] - q[1])).fold(f64::INFINITY, f64::min);
                 prop_assert!((index.distance_m(q).unwrap() - best).abs() < 1e-3);
@@ -77,17 +77,17 @@ mod tests {
     }
 
     #[test]
-    fn the_share_counts_points_within_the_radius() {
-        let index = PointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
+    fn the_fraction_counts_points_within_the_radius() {
+        let index = MapPointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
         let asked = [[1000.2, 0.0], [1005.0, 0.0], [1010.0, 0.3], [1020.0, 0.0]];
         assert!((index.matched_fraction(asked, 0.5) - 0.5).abs() < 1e-12);
-        assert!(PointIndex::new([]).matched_fraction(asked, 0.5).abs() < 1e-12);
-        assert!(PointIndex::new([]).distance_m([0.0, 0.0]).is_none());
+        assert!(MapPointIndex::new([]).matched_fraction(asked, 0.5).abs() < 1e-12);
+        assert!(MapPointIndex::new([]).distance_m([0.0, 0.0]).is_none());
     }
 
     #[test]
     fn many_points_on_one_line_are_indexed_too() {
-        let index = PointIndex::new((0..5000).map(|i| [5.0, f64::from(i % 7)]));
+        let index = MapPointIndex::new((0..5000).map(|i| [5.0, f64::from(i % 7)]));
         assert!((index.distance_m([6.0, 3.0]).unwrap() - 1.0).abs() < 1e-5);
     }
 }

@@ -1,4 +1,4 @@
-//! Scans and a trajectory become points in one frame (paper, alg. fastGlobalAlign l. 4).
+//! Scans and a trajectory become points in one frame (paper, alg. fastGlobalAlign l. 3).
 
 use crate::gate::{Dropped, Gate, UnknownSensor, for_each_gated_scan};
 use crate::odometry::Trajectory;
@@ -50,7 +50,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Organises scans by odometry (paper, alg. fastGlobalAlign l. 4, in the frame of the newest pose).
+    /// Organises scans by odometry (paper, alg. fastGlobalAlign l. 3, in the frame of the newest pose).
     ///
     /// # Errors
     /// When a scan names an unknown sensor or the odometry does not cover the reference time.

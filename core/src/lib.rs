@@ -2,8 +2,58 @@
 //!
 //! The paper implemented here is L. Narula, P. A. Iannucci, T. E. Humphreys,
 //! "Automotive-Radar-Based 50-cm Urban Positioning" (2020); comments cite its equation and
-//! algorithm labels. The rooms, in reading order:
+//! algorithm labels.
 //!
+//! # Example
+//!
+//! A vehicle with a wrong prior finds its pose in a street that is known as points:
+//!
+//! ```
+//! use echofix_core::align::{Prior, verdict::Verdict};
+//! use echofix_core::align_once;
+//! use echofix_core::odometry::Trajectory;
+//! use echofix_core::once::{OnceOptions, VehicleScans};
+//! use echofix_core::pose::Pose2;
+//! use echofix_core::scan::{Mount, Scan};
+//!
+//! // The map: two fronts with bays, map metres.
+//! let front = |side: f64| (0..900).map(move |i| {
+//!     let along = 0.1 * f64::from(i);
+//!     [along, side * (9.0 + 1.5 * (0.7 * along + side).sin() + (1.9 * along).cos())]
+//! });
+//! let map: Vec<[f64; 2]> = front(1.0).chain(front(-1.0)).collect();
+//!
+//! // Five seconds at 8 m/s: the true poses, odometry in a frame of its own, and ten scans a second.
+//! let truth = |i: i64| Pose2::new(20.0 + 0.8 * i as f64, 0.5, 0.0);
+//! let odometry = Trajectory::new((0..=50).map(|i| (i * 100_000, Pose2::new(0.8 * i as f64, 0.0, 0.0))))?;
+//! let scan = |i: i64| {
+//!     let body = truth(i).inverse();
+//!     let seen: Vec<_> = map.iter().step_by(3).map(|p| body.transform(*p)).collect();
+//!     Scan {
+//!         time_us: i * 100_000,
+//!         range_m: seen.iter().map(|[x, y]| x.hypot(*y) as f32).collect(),
+//!         azimuth_rad: seen.iter().map(|[x, y]| y.atan2(*x) as f32).collect(),
+//!         ..Scan::default()
+//!     }
+//! };
+//! let scans: Vec<Scan> = (0..=50).map(scan).collect();
+//!
+//! // A prior that is off by 1.4 m and 1.7 degrees.
+//! let pose = Pose2::new(truth(50).x_m + 1.2, truth(50).y_m - 0.8, 0.03);
+//! let prior = Prior { pose, sigma_position_m: 1.0, sigma_yaw_rad: 0.03, scale: 1.0 };
+//! let seen = VehicleScans { scans: &scans, mounts: &[Mount::IDENTITY], odometry: &odometry };
+//! let answer = align_once(&map, &seen, &prior, &OnceOptions::default())?;
+//!
+//! assert!(answer.pose.distance_m(&truth(50)) < 0.1);
+//! assert_eq!(answer.verdict, Verdict::Usable);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Modules
+//!
+//! In reading order:
+//!
+//! - [`once`]: one alignment from plain points, as above.
 //! - [`pose`]: planar poses and how they compose.
 //! - [`geo`]: WGS-84 to UTM and back, meridian convergence, scale factor, zones, tile ids.
 //! - [`scan`]: one radar's detections at one time, and where the radar sits.
@@ -18,9 +68,9 @@
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
 //! - [`time`]: microseconds and days.
 //! - [`varint`]: the alphabet of all codecs.
-//! - [`window`]: the map around a prior, stitched from tiles, ready to be aligned against.
+//! - [`window`]: the square of the map that an alignment needs.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
-//! - [`align`]: `fast_global_align`, its engine, the refinement and the verdict.
+//! - [`align`]: `fast_global_align`; the pipeline from map and batch to an answer; its engines.
 //! - [`vetting`]: does an upload agree with the map, and how far beside it does it lie?
 //!
 //! Frames: the map is UTM metres (`f64`), x east, y north; the body is x forward, y left; yaw is
@@ -36,6 +86,7 @@ pub mod evidence;
 pub mod gate;
 pub mod geo;
 pub mod odometry;
+pub mod once;
 pub mod pose;
 pub mod scan;
 mod sealed;
@@ -44,3 +95,5 @@ pub mod time;
 pub mod varint;
 pub mod vetting;
 pub mod window;
+
+pub use once::align_once;

@@ -1,18 +1,18 @@
-//! The map around a prior, stitched from tiles, ready to be aligned against.
+//! Which square of the map an alignment needs, and the paper's window of evidence in it.
 //!
-//! Windows lie on a coarse lattice, so that requests from the same neighbourhood share one: its
-//! images and its spectrum are computed once.
+//! Squares lie on a coarse lattice, so that requests one after the other often have the same: then its images
+//! need not be assembled anew, nor its spectrum be computed.
 
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
 use crate::tile::Tile;
 
-/// Step of the lattice of window centres, cells.
+/// Step of the lattice of square centres, cells.
 const LATTICE_CELLS: i64 = 64;
 
-/// Which square of the map: the key of a cached window.
+/// A square of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Frame {
+pub struct MapSquare {
     /// The zone.
     pub zone: Zone,
     /// The south-west cell.
@@ -21,15 +21,15 @@ pub struct Frame {
     pub side: usize,
 }
 
-impl Frame {
+impl MapSquare {
     /// The square to align against around map metres: it holds `extent_m` in every direction of
-    /// every pose within `search_m` of the place, plus the lattice's slack. Its side is a length
+    /// every pose within `search_m` of the position, plus the lattice's slack. Its side is a length
     /// the FFT likes.
     #[must_use]
-    pub fn around(zone: Zone, place: [f64; 2], extent_m: f64, search_m: f64) -> Self {
+    pub fn around(zone: Zone, position: [f64; 2], extent_m: f64, search_m: f64) -> Self {
         let reach = ((extent_m + search_m) / CELL_M).ceil() as usize + 1;
         let side = fft_length(2 * reach + LATTICE_CELLS as usize);
-        let at = CellIndex::of(place);
+        let at = CellIndex::of(position);
         let snap = |c: i64| (c + LATTICE_CELLS / 2).div_euclid(LATTICE_CELLS) * LATTICE_CELLS;
         let half = side as i64 / 2;
         Self { zone, origin: CellIndex { x: snap(at.x) - half, y: snap(at.y) - half }, side }
@@ -44,7 +44,7 @@ impl Frame {
         (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| TileId { zone, y, x }))
     }
 
-    /// Map metres to cells from the south-west corner (a fraction within a cell is kept).
+    /// Map metres to cells from the south-west corner (with the fraction within a cell).
     #[must_use]
     pub fn to_cells(&self, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
         [x_m / CELL_M - self.origin.x as f64, y_m / CELL_M - self.origin.y as f64]
@@ -79,7 +79,7 @@ fn fft_length(least: usize) -> usize {
     n
 }
 
-/// An occupied cell of a window.
+/// An occupied cell of a [`EvidenceWindow`]. Paper only: used by the evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowCell {
     /// Column, cells from the window's west side.
@@ -91,7 +91,7 @@ pub struct WindowCell {
 }
 
 impl WindowCell {
-    /// Mean place of its hits, cells from the window's south-west corner.
+    /// Mean position of its hits, cells from the window's south-west corner.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         let [fx, fy] = self.cell.centroid();
@@ -99,24 +99,25 @@ impl WindowCell {
     }
 }
 
-/// The map's evidence in a square.
+/// The map's evidence in a square. Paper only: used by the evaluation; the service aligns on
+/// [`crate::align::view::MapView`].
 #[derive(Debug, Clone)]
-pub struct Window {
+pub struct EvidenceWindow {
     /// Which square.
-    pub frame: Frame,
+    pub square: MapSquare,
     /// Occupied cells.
     pub cells: Vec<WindowCell>,
 }
 
-impl Window {
+impl EvidenceWindow {
     /// Stitches a window from the tiles that exist in its square.
     #[must_use]
-    pub fn stitch<'a>(frame: Frame, tiles: impl IntoIterator<Item = (TileId, &'a Tile)>) -> Self {
+    pub fn stitch<'a>(square: MapSquare, tiles: impl IntoIterator<Item = (TileId, &'a Tile)>) -> Self {
         let mut cells = Vec::new();
         for (id, tile) in tiles {
             let first = id.first_cell();
-            let (dx, dy) = (first.x - frame.origin.x, first.y - frame.origin.y);
-            let side = 0..frame.side as i64;
+            let (dx, dy) = (first.x - square.origin.x, first.y - square.origin.y);
+            let side = 0..square.side as i64;
             cells.extend(tile.cells().iter().filter_map(|(index, cell)| {
                 let x = dx + i64::from(*index) % CELLS_PER_TILE as i64;
                 let y = dy + i64::from(*index) / CELLS_PER_TILE as i64;
@@ -124,7 +125,7 @@ impl Window {
                 inside.then_some(WindowCell { x: x as u16, y: y as u16, cell: *cell })
             }));
         }
-        Self { frame, cells }
+        Self { square, cells }
     }
 }
 
@@ -139,40 +140,40 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_window_holds_every_pose_searched_with_its_batch(x in -1e5..1e6_f64, y in 0.0..9e6_f64, search in 0.1..30.0_f64) {
-            let frame = Frame::around(zone(), [x, y], 50.0, search);
+        fn a_square_holds_every_pose_searched_with_its_batch(x in -1e5..1e6_f64, y in 0.0..9e6_f64, search in 0.1..30.0_f64) {
+            let square = MapSquare::around(zone(), [x, y], 50.0, search);
             for sign in [-1.0, 1.0] {
-                let [u, v] = frame.to_cells([x + sign * (50.0 + search), y + sign * (50.0 + search)]);
-                prop_assert!(u >= 0.0 && v >= 0.0 && u < frame.side as f64 && v < frame.side as f64);
+                let [u, v] = square.to_cells([x + sign * (50.0 + search), y + sign * (50.0 + search)]);
+                prop_assert!(u >= 0.0 && v >= 0.0 && u < square.side as f64 && v < square.side as f64);
             }
-            let tiles: Vec<_> = frame.tiles().collect();
+            let tiles: Vec<_> = square.tiles().collect();
             prop_assert!(tiles.contains(&TileId::of(zone(), [x, y])));
-            let back = frame.to_metres(frame.to_cells([x, y]));
+            let back = square.to_metres(square.to_cells([x, y]));
             prop_assert!((back[0] - x).abs() < 1e-6 && (back[1] - y).abs() < 1e-6);
         }
     }
 
     #[test]
-    fn neighbours_share_a_window() {
-        let a = Frame::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
-        let b = Frame::around(zone(), [600_002.1, 3_300_002.9], 50.0, 6.0);
+    fn neighbours_have_the_same_square() {
+        let a = MapSquare::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
+        let b = MapSquare::around(zone(), [600_002.1, 3_300_002.9], 50.0, 6.0);
         assert_eq!(a, b);
         assert_eq!(a.side, 1200);
     }
 
     #[test]
-    fn cells_keep_their_place_on_the_map() {
-        let place = [600_010.03, 3_300_020.07];
-        let (id, index) = TileId::locate(zone(), CellIndex::of(place));
+    fn cells_keep_their_position_on_the_map() {
+        let position = [600_010.03, 3_300_020.07];
+        let (id, index) = TileId::locate(zone(), CellIndex::of(position));
         let tile = Tile::from_cells(vec![(
             index,
             Cell { hits: 1, passes: 1, offset_sum: [76, 179], ..Cell::default() },
         )])
         .unwrap();
-        let frame = Frame::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
-        let window = Window::stitch(frame, [(id, &tile)]);
-        let [x, y] = frame.to_metres(window.cells[0].centroid());
-        assert!((x - place[0]).abs() < 1e-3 && (y - place[1]).abs() < 1e-3, "{x} {y}");
+        let square = MapSquare::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
+        let window = EvidenceWindow::stitch(square, [(id, &tile)]);
+        let [x, y] = square.to_metres(window.cells[0].centroid());
+        assert!((x - position[0]).abs() < 1e-3 && (y - position[1]).abs() < 1e-3, "{x} {y}");
     }
 
     #[test]

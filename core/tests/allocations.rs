@@ -1,4 +1,4 @@
-//! A fix allocates nothing once its buffers are warm: search, climb and verdict.
+//! A fix allocates nothing once its buffers are warm: search, refinement and verdict.
 
 #![expect(unsafe_code, reason = "an allocator that counts is an allocator")]
 
@@ -15,7 +15,7 @@ use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, TileId, Zone};
 use echofix_core::pose::Pose2;
 use echofix_core::tile::Tile;
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -57,7 +57,7 @@ unsafe impl GlobalAlloc for Counting {
 
 /// A body among walls and posts, and what it saw of them in 5 s.
 struct Scene {
-    frame: Frame,
+    square: MapSquare,
     tiles: Vec<Arc<TileWeights>>,
     batch: Batch,
     prior: Prior,
@@ -77,15 +77,15 @@ impl Scene {
         let pose = Pose2::new(truth.x_m + off[0], truth.y_m + off[1], truth.yaw_rad + 0.02);
         let sigma_yaw_rad = 3_f64.to_radians();
         let prior = Prior { pose, sigma_position_m, sigma_yaw_rad, scale: 1.0 };
-        let frame = Frame::around(zone, [pose.x_m, pose.y_m], 50.0, 3.0 * sigma_position_m);
+        let square = MapSquare::around(zone, [pose.x_m, pose.y_m], 50.0, 3.0 * sigma_position_m);
         let on_map: Vec<_> = structure.iter().map(|p| truth.transform(*p)).collect();
-        Self { frame, tiles: weights(&frame, &on_map), batch: batch(&structure, &mut rng), prior }
+        Self { square, tiles: weights(&square, &on_map), batch: batch(&structure, &mut rng), prior }
     }
 
     fn align(&self, aligner: &mut Aligner, kind: EngineKind) -> Alignment {
-        let Self { frame, tiles, batch, prior } = self;
-        let task = Task { frame: *frame, tiles, batch, prior };
-        aligner.align(&task, kind, &Search::default(), &Integrity::default())
+        let Self { square, tiles, batch, prior } = self;
+        let task = Task { square: *square, tiles, batch, prior };
+        aligner.align(&task, kind.engine(), &Search::default(), &Integrity::default())
     }
 }
 
@@ -117,10 +117,10 @@ fn batch(structure: &[[f64; 2]], rng: &mut ChaCha8Rng) -> Batch {
     batch
 }
 
-fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
+fn weights(square: &MapSquare, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
     let mut cells: BTreeMap<TileId, BTreeMap<u32, Cell>> = BTreeMap::new();
     for point in points {
-        let (id, index) = TileId::locate(frame.zone, CellIndex::of(*point));
+        let (id, index) = TileId::locate(square.zone, CellIndex::of(*point));
         let middle = Cell {
             hits: 2,
             passes: 1,
@@ -134,12 +134,12 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
     let tile = |cells: BTreeMap<u32, Cell>| Tile::from_cells(cells.into_iter().collect());
     let tiles: BTreeMap<TileId, Tile> =
         cells.into_iter().map(|(id, cells)| (id, tile(cells).expect("cells are in order"))).collect();
-    let known = frame.tiles().filter(|id| tiles.contains_key(id));
+    let known = square.tiles().filter(|id| tiles.contains_key(id));
     known.map(|id| Arc::new(TileWeights::new(id, |at| tiles.get(&at)))).collect()
 }
 
 /// The largest number of allocations of a fix, after every scene was asked about once. Scenes lie at
-/// several places and are asked about in turns, so that views and bounds are made anew each time.
+/// several positions and are asked about in turns, so that views and bounds are made anew each time.
 fn allocations(kind: EngineKind, scenes: &[Scene]) -> u64 {
     let mut aligner = Aligner::default();
     for scene in scenes {

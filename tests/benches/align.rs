@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
 
 use divan::{Bencher, black_box};
-use echofix_core::align::fft::{Plans, Workspace as FftWorkspace};
+use echofix_core::align::fft::{FftWorkspace, Plans};
 use echofix_core::align::verdict::Integrity;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, EngineKind, Prior, Search, Task};
@@ -17,7 +17,7 @@ use echofix_core::gate::Gate;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
 #[global_allocator]
@@ -30,7 +30,7 @@ fn main() {
 /// A mapped stretch of the town and a 5 s batch on it, three days later.
 struct Scene {
     tiles: BTreeMap<TileId, Tile>,
-    frame: Frame,
+    square: MapSquare,
     batch: Batch,
     prior: Prior,
 }
@@ -73,21 +73,21 @@ impl Scene {
         let mut pose = on_grid(&grid, &lost.truth).at(middle).expect("the truth covers the drive");
         (pose.x_m, pose.y_m, pose.yaw_rad) = (pose.x_m + 1.0, pose.y_m - 1.5, pose.yaw_rad + 0.03);
         let prior = Prior { pose, sigma_position_m: 2.0, sigma_yaw_rad: 3_f64.to_radians(), scale };
-        let frame = Frame::around(grid.zone(), [pose.x_m, pose.y_m], 50.0, 6.0);
+        let square = MapSquare::around(grid.zone(), [pose.x_m, pose.y_m], 50.0, 6.0);
         let tiles = tiles.into_iter().map(|(id, (tile, _))| (id, tile)).collect();
-        Self { tiles, frame, batch, prior }
+        Self { tiles, square, batch, prior }
     }
 
     fn weights(&self) -> Vec<Arc<TileWeights>> {
-        let known = self.frame.tiles().filter(|id| self.tiles.contains_key(id));
+        let known = self.square.tiles().filter(|id| self.tiles.contains_key(id));
         known.map(|id| Arc::new(TileWeights::new(id, |at| self.tiles.get(&at)))).collect()
     }
 
     fn fix(&self, bencher: Bencher, kind: EngineKind) {
         let (tiles, mut aligner) = (self.weights(), Aligner::default());
         let (search, integrity) = (Search::default(), Integrity::default());
-        let task = Task { frame: self.frame, tiles: &tiles, batch: &self.batch, prior: &self.prior };
-        bencher.bench_local(|| aligner.align(&task, kind, &search, &integrity));
+        let task = Task { square: self.square, tiles: &tiles, batch: &self.batch, prior: &self.prior };
+        bencher.bench_local(|| aligner.align(&task, kind.engine(), &search, &integrity));
     }
 }
 

@@ -10,11 +10,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use echofix_client::import::radiate;
-use echofix_core::align::engine::{Bounded, Engine, Fast, Fft, Question, Reference};
-use echofix_core::align::thin::{BLOCK_M, Thinner};
-use echofix_core::align::view::MapView;
+use echofix_core::align::engine::{Bounded, Engine, Fast, Fft, Reference};
+use echofix_core::align::pipeline::Pipeline;
 use echofix_core::align::weights::TileWeights;
-use echofix_core::align::{Lattice, Prior, Search};
+use echofix_core::align::{Prior, Search};
 use echofix_core::batch::Batch;
 use echofix_core::drive::Drive;
 use echofix_core::evidence::{EvidenceAccumulator, Pass, TileEvidence};
@@ -23,7 +22,7 @@ use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::tile::{Ledger, Tile};
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use echofix_sim::rng::normal;
 use echofix_tests::asking::percentile;
 use echofix_tests::command::echofix;
@@ -167,7 +166,7 @@ impl Fragment {
         (batch.expect("the odometry covers the scans"), at)
     }
 
-    fn weights(&self, frame: &Frame) -> Vec<Arc<TileWeights>> {
+    fn weights(&self, frame: &MapSquare) -> Vec<Arc<TileWeights>> {
         let known = frame.tiles().filter(|id| self.tiles.contains_key(id));
         known.map(|id| Arc::new(TileWeights::new(id, |at| self.tiles.get(&at)))).collect()
     }
@@ -177,7 +176,7 @@ impl Fragment {
 #[derive(Default)]
 struct Row {
     name: &'static str,
-    maxima: Vec<(Pose2, u32)>,
+    maxima: Vec<(Pose2, f64)>,
     /// Of the best hypothesis, which is rounded to cells and degrees: metres, radians.
     errors: Vec<[f64; 2]>,
 }
@@ -188,40 +187,25 @@ struct Row {
 #[ignore = "needs ECHOFIX_DATA_DIR"]
 fn every_exact_engine_finds_the_same_maximum_in_radiate_scans() {
     let fragment = Fragment::read();
-    let mut engines: [Box<dyn Engine>; 4] = [
-        Box::new(Reference::default()),
-        Box::new(Fft::default()),
-        Box::new(Bounded::default()),
-        Box::new(Fast::default()),
-    ];
-    let mut rows = engines.each_ref().map(|e| Row { name: e.name(), ..Row::default() });
+    let engines: [&dyn Engine; 4] = [&Reference::default(), &Fft, &Bounded::BEST, &Fast::BEST];
+    let mut rows = engines.map(|e| Row { name: e.name(), ..Row::default() });
     let mut rng = ChaCha8Rng::seed_from_u64(10);
-    let (mut view, mut thinner, mut thinned, mut peaks) =
-        (MapView::default(), Thinner::default(), Vec::new(), Vec::new());
+    let mut pipeline = Pipeline::default();
     let search = Search::default();
     for last in MAPPED..fragment.drive.scans.len() {
         let (batch, truth) = fragment.batch(last);
-        thinner.thin(&batch.points, search.extent_m as f32, BLOCK_M, &mut thinned);
+        pipeline.thin(&batch.points, search.extent_m);
         for _ in 0..PRIORS {
             let (sigma_position_m, sigma_yaw_rad) = (2.0, 3_f64.to_radians());
             let [east_m, north_m] = [0, 1].map(|_| normal(&mut rng, sigma_position_m));
             let turn = normal(&mut rng, sigma_yaw_rad);
             let pose = Pose2::new(truth.x_m + east_m, truth.y_m + north_m, truth.yaw_rad + turn);
             let prior = Prior { pose, sigma_position_m, sigma_yaw_rad, scale: fragment.scale };
-            let frame = Frame::around(fragment.grid.zone(), [pose.x_m, pose.y_m], search.extent_m, 6.0);
-            view.show(frame, &fragment.weights(&frame));
-            let lattice = Lattice::of(&prior, &search);
-            let question = Question {
-                view: &view,
-                batch: &batch,
-                thinned: &thinned,
-                prior: &prior,
-                search: &search,
-                lattice,
-            };
-            for (engine, row) in engines.iter_mut().zip(&mut rows) {
-                engine.search(&question, &mut peaks);
-                let top = peaks.first().expect("an engine finds something");
+            let frame = MapSquare::around(fragment.grid.zone(), [pose.x_m, pose.y_m], search.extent_m, 6.0);
+            pipeline.assemble(frame, &fragment.weights(&frame));
+            for (engine, row) in engines.into_iter().zip(&mut rows) {
+                let found = pipeline.search(engine, &batch, &prior, &search);
+                let top = found.first().expect("an engine finds something");
                 row.maxima.push((top.correction, top.score));
                 let found = prior.corrected(&top.correction);
                 row.errors.push([found.distance_m(&truth), (found.yaw_rad - truth.yaw_rad).abs()]);

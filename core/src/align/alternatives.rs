@@ -1,4 +1,4 @@
-//! Other poses that explain a batch: few, and kept in place, for an answer allocates nothing.
+//! Other poses that explain a batch: few, in an array, for an answer allocates nothing.
 
 use std::ops::Deref;
 
@@ -13,7 +13,7 @@ pub struct Alternatives {
 }
 
 impl Alternatives {
-    /// As many as are kept.
+    /// As many as there is room for.
     pub const MOST: usize = 8;
 
     /// Adds one that is worse than those before; left out when there are enough.
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_are_kept() {
+    fn the_first_stay() {
         let mut others = Alternatives::default();
         assert!(others.is_empty());
         for i in 0..20 {

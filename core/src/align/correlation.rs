@@ -68,6 +68,14 @@ impl Lattice {
         (self.lag as f64 * CELL_M, self.turns as f64 * self.yaw_step_rad)
     }
 
+    /// True when a refined correction lies on the edge of the search or beyond.
+    #[must_use]
+    pub fn is_left_by(&self, correction: &Pose2) -> bool {
+        let (half_m, half_yaw_rad) = self.half_widths();
+        let shift = correction.x_m.abs().max(correction.y_m.abs());
+        shift > half_m - CELL_M || correction.yaw_rad.abs() > half_yaw_rad
+    }
+
     /// True when an index's shift lies on the edge of the search.
     #[must_use]
     pub fn is_at_edge(&self, index: usize) -> bool {
@@ -105,18 +113,18 @@ impl Correlation {
             let slot = &mut best[index % plane];
             *slot = slot.map(|so_far| higher(so_far, index));
         }
-        let mut peaks = Vec::new();
-        while peaks.len() < most {
+        let mut maxima = Vec::new();
+        while maxima.len() < most {
             let Some(index) = best.iter().copied().flatten().reduce(higher) else { break };
-            let peak = self.lattice.hypothesis(index);
+            let maximum = self.lattice.hypothesis(index);
             for (shift, slot) in best.iter_mut().enumerate() {
-                if self.lattice.hypothesis(shift).distance_m(&peak) < separation_m {
+                if self.lattice.hypothesis(shift).distance_m(&maximum) < separation_m {
                     *slot = None;
                 }
             }
-            peaks.push(index);
+            maxima.push(index);
         }
-        peaks
+        maxima
     }
 }
 
@@ -141,5 +149,14 @@ mod tests {
         assert!((second.x_m + 2.0).abs() < 1e-9 && (second.y_m + 3.0).abs() < 1e-9);
         assert!((second.yaw_rad - 0.02).abs() < 1e-12);
         assert!(lattice.is_at_edge(found[1]) && !lattice.is_at_edge(found[0]));
+    }
+
+    /// Catches an edge that is taken for inside: the last cell of the search may be the slope of a maximum beyond.
+    #[test]
+    fn a_search_is_left_by_its_last_cell_and_beyond_its_last_heading() {
+        let lattice = Lattice { lag: 30, turns: 1, yaw_step_rad: 0.02 };
+        let left = |x_m, y_m, yaw_rad| lattice.is_left_by(&Pose2::new(x_m, y_m, yaw_rad));
+        assert!(!left(2.8, -2.8, 0.015));
+        assert!(left(2.95, 0.0, 0.0) && left(0.0, -2.95, 0.0) && left(0.0, 0.0, 0.021));
     }
 }

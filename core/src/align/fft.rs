@@ -1,7 +1,7 @@
-//! The FFT engine: cross-correlation of the map with a batch for one heading
+//! Cross-correlation of the map with a batch for one heading, by the FFT
 //! (eq. linear-cross-correlation).
 //!
-//! Both images are real, so half a spectrum is enough. Spectra are kept column by column: the
+//! Both images are real, so half a spectrum is enough. Spectra are stored column by column: the
 //! transform along y of the batch, the product with the map and the inverse along y then happen
 //! while one column is in the cache, and of the inverse along x only the rows of wanted lags are
 //! computed. The map fills the array; only the batch is padded, by the half width of the search
@@ -14,7 +14,7 @@ use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 
 /// Rows transformed together, so that the transposed write fills a cache line.
-const BLOCK: usize = 8;
+const ROWS: usize = 8;
 
 /// Plans for one side length; shared by threads.
 pub struct Plans {
@@ -40,7 +40,7 @@ impl Spectrum {
 
 /// Buffers that one thread reuses from batch to batch.
 #[derive(Default)]
-pub struct Workspace {
+pub struct FftWorkspace {
     row: Vec<f32>,
     block: Vec<Complex32>,
     columns: Vec<Complex32>,
@@ -70,7 +70,7 @@ impl Plans {
 
     /// The spectrum of an image in row-major order (`side * side` values).
     #[must_use]
-    pub fn spectrum(&self, image: &[f32], workspace: &mut Workspace) -> Spectrum {
+    pub fn spectrum(&self, image: &[f32], workspace: &mut FftWorkspace) -> Spectrum {
         let mut columns = Vec::new();
         self.transform_rows(image, workspace, &mut columns);
         workspace.scratch.resize(self.scratch_len(), Complex32::default());
@@ -90,7 +90,7 @@ impl Plans {
         map: &Spectrum,
         batch: &[f32],
         lag: usize,
-        workspace: &mut Workspace,
+        workspace: &mut FftWorkspace,
         out: &mut [f32],
     ) {
         let n = self.side;
@@ -116,7 +116,7 @@ impl Plans {
     }
 
     /// The inverse along x of the rows of wanted lags.
-    fn inverse_rows(&self, lag: usize, workspace: &mut Workspace, out: &mut [f32]) {
+    fn inverse_rows(&self, lag: usize, workspace: &mut FftWorkspace, out: &mut [f32]) {
         let n = self.side;
         let (half, width) = (n / 2 + 1, 2 * lag + 1);
         let scale = 1.0 / (n as f32 * n as f32);
@@ -135,15 +135,15 @@ impl Plans {
     }
 
     /// The transform along x of every row that holds anything, written column by column.
-    fn transform_rows(&self, image: &[f32], workspace: &mut Workspace, columns: &mut Vec<Complex32>) {
+    fn transform_rows(&self, image: &[f32], workspace: &mut FftWorkspace, columns: &mut Vec<Complex32>) {
         let n = self.side;
         let half = n / 2 + 1;
         columns.clear();
         columns.resize(n * half, Complex32::default());
         workspace.row.resize(n, 0.0);
-        workspace.block.resize(BLOCK * half, Complex32::default());
+        workspace.block.resize(ROWS * half, Complex32::default());
         workspace.scratch.resize(self.scratch_len(), Complex32::default());
-        for (index, rows) in image.chunks(BLOCK * n).enumerate() {
+        for (index, rows) in image.chunks(ROWS * n).enumerate() {
             if rows.iter().all(|v| *v == 0.0) {
                 continue;
             }
@@ -155,7 +155,7 @@ impl Plans {
                     .expect("the buffers have the planned lengths");
             }
             for k in 0..half {
-                let to = k * n + index * BLOCK;
+                let to = k * n + index * ROWS;
                 for (row, value) in columns[to..to + count].iter_mut().enumerate() {
                     *value = workspace.block[row * half + k];
                 }
@@ -210,7 +210,7 @@ mod tests {
                 batch[y * side + x] = rng.random_range(0.1..0.9);
             }
             let plans = Plans::new(side);
-            let mut workspace = Workspace::default();
+            let mut workspace = FftWorkspace::default();
             let spectrum = plans.spectrum(&map, &mut workspace);
             let mut out = vec![0.0; (2 * lag + 1).pow(2)];
             plans.correlate(&spectrum, &batch, lag, &mut workspace, &mut out);

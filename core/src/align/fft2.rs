@@ -41,7 +41,8 @@ impl Fft2 {
     }
 
     /// The spectrum of an image that is turned about the array's origin (`rotate2` of fastGlobalAlign
-    /// l. 10): the spectrum turned by the same angle, interpolated between its four neighbours.
+    /// l. 10): the spectrum turned by the same angle, interpolated between its four neighbours. Paper only: used
+    /// by the evaluation.
     #[must_use]
     pub fn turned(&self, spectrum: &[Complex64], turn_rad: f64) -> Vec<Complex64> {
         let n = self.side as i64;

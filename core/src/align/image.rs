@@ -2,17 +2,18 @@
 
 use std::sync::Arc;
 
-use super::fft::{Plans, Spectrum, Workspace};
-use super::view::Shown;
+use super::fft::{FftWorkspace, Plans, Spectrum};
+use super::view::ImageView;
 use crate::evidence::InverseSensorModel;
-use crate::window::{Frame, Window};
+use crate::window::{EvidenceWindow, MapSquare};
 
-/// Numbers of hits that have a value of their own; more are worth no more.
+/// Numbers of hits that have a value of their own; more have the last one.
 const HITS: u32 = 64;
 
-/// A map's image, transformed (fastGlobalAlign l. 1-2), and what a cell of a batch is worth on it.
+/// A map's image and its spectrum (fastGlobalAlign l. 1-2), and the value of a batch's cell on it. It depends on
+/// the map alone, so one serves every batch in the same map window.
 pub struct MapImage {
-    frame: Frame,
+    square: MapSquare,
     plans: Arc<Plans>,
     spectrum: Spectrum,
     norm: f32,
@@ -21,36 +22,37 @@ pub struct MapImage {
 }
 
 impl MapImage {
-    /// The paper's: occupancy of map and batch, with the prior belief subtracted.
+    /// Paper only, used by the evaluation: occupancy of map and batch, with the prior belief subtracted.
     #[must_use]
-    pub fn of_evidence(window: &Window, model: &InverseSensorModel, plans: Arc<Plans>) -> Self {
-        let frame = window.frame;
-        let mut image = vec![0.0_f32; frame.side * frame.side];
+    pub fn of_evidence(window: &EvidenceWindow, model: &InverseSensorModel, plans: Arc<Plans>) -> Self {
+        let square = window.square;
+        let mut image = vec![0.0_f32; square.side * square.side];
         for cell in &window.cells {
-            let index = usize::from(cell.y) * frame.side + usize::from(cell.x);
+            let index = usize::from(cell.y) * square.side + usize::from(cell.x);
             image[index] = model.evidence(cell.cell.hits) as f32;
         }
         let cell_value = (0..HITS).map(|hits| model.evidence(hits) as f32).collect();
-        Self::new(frame, &image, cell_value, plans)
+        Self::new(square, &image, cell_value, plans)
     }
 
     /// Weights of the map, and occupied cells of the batch.
     #[must_use]
-    pub fn of_weights(shown: &Shown, plans: Arc<Plans>) -> Self {
-        let image: Vec<f32> = shown.image[..shown.side * shown.side].iter().map(|v| f32::from(*v)).collect();
-        Self::new(shown.frame, &image, vec![0.0, 1.0], plans)
+    pub fn of_weights(image: &ImageView, plans: Arc<Plans>) -> Self {
+        let cells = image.side * image.side;
+        let weights: Vec<f32> = image.weights[..cells].iter().map(|v| f32::from(*v)).collect();
+        Self::new(image.square, &weights, vec![0.0, 1.0], plans)
     }
 
-    fn new(frame: Frame, image: &[f32], cell_value: Vec<f32>, plans: Arc<Plans>) -> Self {
-        let spectrum = plans.spectrum(image, &mut Workspace::default());
+    fn new(square: MapSquare, image: &[f32], cell_value: Vec<f32>, plans: Arc<Plans>) -> Self {
+        let spectrum = plans.spectrum(image, &mut FftWorkspace::default());
         let norm = image.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt() as f32;
-        Self { frame, plans, spectrum, norm, cell_value }
+        Self { square, plans, spectrum, norm, cell_value }
     }
 
     /// Where it lies.
     #[must_use]
-    pub fn frame(&self) -> Frame {
-        self.frame
+    pub fn square(&self) -> MapSquare {
+        self.square
     }
 
     /// Square root of the sum of its squared values.
@@ -59,7 +61,7 @@ impl MapImage {
         self.norm
     }
 
-    /// Values of a batch's cell by its hits, from 0; more hits are worth the last.
+    /// Values of a batch's cell by its hits, from 0; more hits have the last one.
     #[must_use]
     pub fn cell_values(&self) -> &[f32] {
         &self.cell_value

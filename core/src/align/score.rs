@@ -1,7 +1,7 @@
 //! The score of a pose: how much weight the map has below the points, with slope and curvature.
 //!
 //! Weights are interpolated by quadratic B-splines, so that slope and curvature are those of one
-//! smooth function and a climb takes few steps.
+//! smooth function and refining takes few steps.
 
 use super::simd::{Isa, Kernel};
 use super::view::MapView;
@@ -22,8 +22,8 @@ pub struct Slope {
 
 /// A map to score poses on.
 #[derive(Clone, Copy)]
-pub struct Field<'a> {
-    image: &'a [u8],
+pub struct ScoreField<'a> {
+    weights: &'a [u8],
     side: usize,
     /// Map metres of the image's south-west corner.
     origin: [f64; 2],
@@ -31,20 +31,20 @@ pub struct Field<'a> {
     curve: [f32; 2],
 }
 
-impl<'a> Field<'a> {
+impl<'a> ScoreField<'a> {
     /// The cells of a view.
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
-        let frame = view.frame();
+        let square = view.square();
         Self {
-            image: view.fine().image,
-            side: frame.side,
-            origin: frame.to_metres([0.0, 0.0]),
+            weights: view.fine().weights,
+            side: square.side,
+            origin: square.to_metres([0.0, 0.0]),
             curve: [1.0, 0.0],
         }
     }
 
-    /// The same map with its weights squared: where clutter counts for little, for the last centimetres.
+    /// The same map with its weights squared: clutter then counts for little. For the last centimetres.
     #[must_use]
     pub fn sharpened(&self) -> Self {
         Self { curve: [0.0, SHARPNESS / STEPS], ..*self }
@@ -104,7 +104,7 @@ impl<'a> Field<'a> {
         for i in 0..LANES {
             for (row, taps) in p.taps.iter_mut().enumerate() {
                 let from = index[i] as usize + row * self.side;
-                let four = self.image.get(from..from + 4).and_then(|t| t.try_into().ok());
+                let four = self.weights.get(from..from + 4).and_then(|t| t.try_into().ok());
                 taps[i] = u32::from_le_bytes(four.unwrap_or_default());
             }
         }
@@ -124,16 +124,16 @@ impl<'a> Field<'a> {
         for [px, py, _] in points {
             let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
             if inside.contains(&x) && inside.contains(&y) {
-                sum += u32::from(self.image[y as usize * self.side + x as usize]);
+                sum += u32::from(self.weights[y as usize * self.side + x as usize]);
             }
         }
         f64::from(sum) / f64::from(STEPS)
     }
 }
 
-/// Points to be summed up: the place of the body, cells, and sine and cosine times cells a metre.
+/// Points to be summed up: the position of the body, cells, and sine and cosine times cells a metre.
 struct Sums<'a> {
-    field: &'a Field<'a>,
+    field: &'a ScoreField<'a>,
     points: &'a [[f32; 3]],
     from: [f32; 2],
     turn: [f32; 2],
@@ -224,7 +224,7 @@ mod tests {
     fn every_instruction_set_gives_the_same_bits() {
         const SIDE: usize = 96;
         let image: Vec<u8> = (0..SIDE * SIDE + 64).map(|i| (i * i * 31 + i * 7) as u8).collect();
-        let field = Field { image: &image, side: SIDE, origin: [0.0; 2], curve: [0.3, 0.004] };
+        let field = ScoreField { weights: &image, side: SIDE, origin: [0.0; 2], curve: [0.3, 0.004] };
         let spread = |i: usize, step: f32| (i as f32 * step).fract() * 11.0 - 5.5;
         for count in [0, 1, 15, 16, 17, 700] {
             // Some of them beyond the border.

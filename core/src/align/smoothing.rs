@@ -1,4 +1,4 @@
-//! Hits smoothed to the sensor's noise, and the bytes that their masses are worth.
+//! Hits smoothed to the sensor's noise, and the weights that their masses become.
 
 use std::f32::consts::{FRAC_1_SQRT_2, LN_2};
 use std::sync::LazyLock;
@@ -8,9 +8,9 @@ use crate::geo::{CELL_M, CELLS_PER_TILE};
 
 /// Standard deviation of the smoothing, metres: about the spread of one structure's returns.
 const SIGMA_M: f64 = 0.2;
-/// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the hill of
-/// the true pose then stands out from the others; for its summit the weights are squared (see
-/// [`super::score::Field::sharpened`]).
+/// Smoothed mass at which a weight starts to grow like a logarithm. Far below one hit: the true pose then
+/// exceeds the candidates elsewhere by more; for the last centimetres the weights are squared (see
+/// [`super::score::ScoreField::sharpened`]).
 const KNEE: f32 = 0.01;
 /// Bytes for a unit of the natural logarithm.
 pub const STEPS: f32 = 28.0;
@@ -34,18 +34,18 @@ const STRIDE: usize = SIDE + 2 * MARGIN;
 /// A mass and where it lies, in cells from the tile's south-west corner: in the tile, or less than [`HALO`] cells
 /// from it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Placed {
+pub(super) struct CellMass {
     pub(super) at: [f64; 2],
     pub(super) mass: f32,
 }
 
 /// A tile's weights, row-major: [`STEPS`] times `ln(1 + smoothed mass / KNEE)`, rounded.
-pub(super) fn weights(placed: &[Placed]) -> Box<[u8]> {
-    Isa::best().run(Weighing { placed })
+pub(super) fn weights(masses: &[CellMass]) -> Box<[u8]> {
+    Isa::best().run(Weighing { masses })
 }
 
 struct Weighing<'a> {
-    placed: &'a [Placed],
+    masses: &'a [CellMass],
 }
 
 impl Kernel for Weighing<'_> {
@@ -56,8 +56,8 @@ impl Kernel for Weighing<'_> {
     fn run(self) -> Box<[u8]> {
         let mut sums = vec![0.0; STRIDE * STRIDE];
         let kernels = &*KERNELS;
-        for placed in self.placed {
-            add(&mut sums, kernels, placed);
+        for mass in self.masses {
+            add(&mut sums, kernels, mass);
         }
         let mut weights = vec![0; SIDE * SIDE];
         let inside = sums.chunks_exact(STRIDE).skip(MARGIN).map(|row| &row[MARGIN..MARGIN + SIDE]);
@@ -71,15 +71,15 @@ impl Kernel for Weighing<'_> {
 /// Compiled for an instruction set with what calls it.
 #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
 #[inline(always)]
-fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], placed: &Placed) {
-    let [x, y] = placed.at.map(|along| along + (MARGIN - REACH) as f64);
+fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], cell_mass: &CellMass) {
+    let [x, y] = cell_mass.at.map(|along| along + (MARGIN - REACH) as f64);
     let (column, row) = (x as i32, y as i32);
     let kernel = |along: f64, cell: i32| {
         // Masked, not clamped: in the cell there are no others.
         &kernels[((along - f64::from(cell)) * PHASES as f64) as i32 as usize % PHASES]
     };
     let (kernel_x, kernel_y) = (kernel(x, column), kernel(y, row));
-    let mass = placed.mass / KNEE;
+    let mass = cell_mass.mass / KNEE;
     let mut from = row as usize * STRIDE + column as usize;
     for tap_y in &kernel_y[..=2 * REACH] {
         let weight = mass * tap_y;
@@ -90,7 +90,7 @@ fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], placed: &Placed) {
     }
 }
 
-/// What a mass in knees is worth. Compiled for an instruction set with what calls it, as is the next one.
+/// The weight of a mass in knees. Compiled for an instruction set with what calls it, as is the next one.
 #[inline(always)]
 fn byte(mass: f32) -> u8 {
     /// Beyond it floats are whole numbers, so that a sum with it is rounded to one, in its last bits.
@@ -138,20 +138,20 @@ mod tests {
 
         /// Fails when a sum's order depends on how many floats are added at once.
         #[test]
-        fn every_instruction_set_weighs_alike(placed in masses()) {
-            let plain = Isa::PLAIN.run(Weighing { placed: &placed });
+        fn every_instruction_set_weighs_alike(masses in masses()) {
+            let plain = Isa::PLAIN.run(Weighing { masses: &masses });
             for isa in Isa::available() {
-                prop_assert!(plain == isa.run(Weighing { placed: &placed }), "{isa:?}");
+                prop_assert!(plain == isa.run(Weighing { masses: &masses }), "{isa:?}");
             }
         }
     }
 
     /// Masses on and off a tile.
-    fn masses() -> impl Strategy<Value = Vec<Placed>> {
+    fn masses() -> impl Strategy<Value = Vec<CellMass>> {
         let (least, end) = (-HALO as f64, (SIDE as i64 + HALO) as f64);
-        let placed =
-            (least..end, least..end, 0.01_f32..20.0).prop_map(|(x, y, mass)| Placed { at: [x, y], mass });
-        prop::collection::vec(placed, 0..300)
+        let masses =
+            (least..end, least..end, 0.01_f32..20.0).prop_map(|(x, y, mass)| CellMass { at: [x, y], mass });
+        prop::collection::vec(masses, 0..300)
     }
 
     #[test]
@@ -159,7 +159,7 @@ mod tests {
         let (low, high) = (-HALO as f64, (SIDE as i64 + HALO) as f64 - 1e-9);
         for [x, y] in [[low, low], [low, high], [high, low], [high, high], [0.0, 0.0], [300.3, 17.9]] {
             let mut sums = vec![0.0; STRIDE * STRIDE];
-            add(&mut sums, &KERNELS, &Placed { at: [x, y], mass: 3.0 });
+            add(&mut sums, &KERNELS, &CellMass { at: [x, y], mass: 3.0 });
             let sum: f32 = sums.iter().sum();
             assert!((sum * KNEE - 3.0).abs() < 1e-4, "{x} {y}: {sum}");
         }
@@ -167,9 +167,9 @@ mod tests {
 
     #[test]
     fn what_lies_a_halo_away_does_not_count() {
-        let beyond = Placed { at: [-HALO as f64, 100.0], mass: 1e3 };
+        let beyond = CellMass { at: [-HALO as f64, 100.0], mass: 1e3 };
         assert!(weights(&[beyond]).iter().all(|weight| *weight == 0));
-        let within = Placed { at: [1.0 - HALO as f64, 100.0], mass: 1e3 };
+        let within = CellMass { at: [1.0 - HALO as f64, 100.0], mass: 1e3 };
         assert!(weights(&[within]).iter().any(|weight| *weight > 0));
     }
 }

@@ -1,5 +1,5 @@
 //! A batch, thinned: one point for each block that holds any. Ten returns from one lamp post in one
-//! batch are not ten witnesses.
+//! batch are not independent.
 
 /// Side of the blocks that the service thins to, metres.
 pub const BLOCK_M: f32 = 0.4;
@@ -25,7 +25,7 @@ impl Thinner {
         let mut len = 0;
         for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
             let block = &mut self.blocks[grid.block(x, y)];
-            // Whether a block was met cannot be foreseen: no branch depends on it.
+            // Whether a block has points already cannot be predicted: no branch depends on it.
             let first = *block <= before;
             len += u32::from(first);
             *block = if first { before + len } else { *block };
@@ -51,8 +51,8 @@ impl Thinner {
     }
 
     /// The grid, and the highest number of earlier passes: so many more can be written above it.
-    fn begin(&mut self, reach_m: f32, block_m: f32, numbers: usize) -> (Grid, u32) {
-        let grid = Grid::new(reach_m, block_m);
+    fn begin(&mut self, reach_m: f32, block_m: f32, numbers: usize) -> (ThinningGrid, u32) {
+        let grid = ThinningGrid::new(reach_m, block_m);
         let full = (u32::MAX - self.before) as usize <= numbers;
         if full || self.blocks.len() != grid.blocks() {
             self.blocks.clear();
@@ -64,13 +64,13 @@ impl Thinner {
 }
 
 /// Blocks around the body.
-struct Grid {
+struct ThinningGrid {
     half: f32,
     per_metre: f32,
     side: usize,
 }
 
-impl Grid {
+impl ThinningGrid {
     fn new(reach_m: f32, block_m: f32) -> Self {
         // One more on either side: a mean may be rounded out of its block.
         let half = (reach_m / block_m).ceil() + 1.0;
@@ -120,7 +120,7 @@ mod tests {
             (out, votes.round() as usize)
         };
         let mut used = Thinner { before: u32::MAX - 1700, ..Thinner::default() };
-        used.blocks.resize(Grid::new(50.0, 0.4).blocks(), u32::MAX - 1700);
+        used.blocks.resize(ThinningGrid::new(50.0, 0.4).blocks(), u32::MAX - 1700);
         for (reach_m, block_m) in
             [(50.0, 0.4), (50.0, 0.4), (50.0, 0.4), (5.0, 0.4), (50.0, 1.0), (50.0, 0.4)]
         {

@@ -1,38 +1,32 @@
 //! May the answer be used, and how large can its error be?
 //!
-//! A correlation score is not a likelihood: neighbouring returns come from the same structure and
-//! are not independent. The curvature of the score is therefore divided by a temperature that was
+//! A score is not a likelihood: neighbouring returns come from the same structure and are not
+//! independent. The curvature of the score is therefore divided by a temperature that was
 //! measured on drives with known truth, and the map's own error is added as a floor.
 
-use nalgebra::Matrix3;
-
-use super::climb::Summit;
-use super::engine::Question;
-use super::score::Field;
-use super::{Alignment, Alternatives};
-use crate::geo::CELL_M;
-use crate::pose::{Pose2, wrap_angle};
+use super::Alignment;
+use crate::pose::Pose2;
 
 /// What an answer must pass, and the calibration of its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Integrity {
     /// Points a thinned batch must have.
     pub min_points: usize,
-    /// Share of the batch that must lie in tiles the map has.
+    /// Fraction of the batch that must lie in tiles the map has.
     pub min_coverage: f64,
-    /// Share of the batch that must lie on mapped structure.
+    /// Fraction of the batch that must lie on mapped structure.
     pub min_matched: f64,
     /// A detection lies on mapped structure when a map point is this near, metres.
     pub matched_within_m: f64,
     /// Score of the answer, relative to that of a random pose, below which it is no better than one.
     pub min_contrast: f64,
-    /// Log-likelihood, in nats, by which the answer must exceed a second pose.
+    /// Log-likelihood, in nats, by which the answer must exceed the best candidate elsewhere.
     pub min_margin: f64,
-    /// Largest sigma of the answer along any direction, metres, that still tells a place.
+    /// Largest sigma of the answer along any direction, metres.
     pub max_sigma_m: f64,
-    /// Independent returns count for this many points of a thinned batch, where hills are compared.
+    /// Independent returns count for this many points of a thinned batch, where candidates are compared.
     pub score_temperature: f64,
-    /// The same for the summit's curvature, on squared weights.
+    /// The same for the curvature of the score, on squared weights.
     pub temperature: f64,
     /// Error of the poses that one pass was mapped from: one sigma along each axis, metres. The
     /// passes of a crowd average it out.
@@ -87,23 +81,23 @@ pub enum Verdict {
         /// True when the two lie along the vehicle's heading: the street repeats itself.
         along_track: bool,
     },
-    /// The batch tells too little.
+    /// The batch determines the pose too little.
     TooLittleStructure {
         /// Its points, thinned.
         points: usize,
-        /// Sigma of the answer in its worst direction, metres; infinite where nothing holds it.
+        /// Sigma of the answer in its worst direction, metres; infinite where nothing determines it.
         sigma_m: f64,
     },
-    /// The place is clear, but too little of what the batch saw is in the map: the street has changed.
+    /// The pose is clear, but too little of what the batch saw is in the map: the street has changed.
     MapStale {
-        /// The share that is.
+        /// The fraction that is.
         matched_fraction: f64,
     },
-    /// The best pose lies on the edge of the search: the prior is wrong by more than it says.
+    /// The best pose lies on the edge of the search: the prior is wrong by more than its sigmas allow.
     PriorOutsideSearch,
     /// The map covers too little of what the batch saw.
     TooLittleMap {
-        /// The share it covers.
+        /// The fraction it covers.
         coverage: f64,
     },
     /// No pose explains the batch: it is somewhere else.
@@ -133,150 +127,8 @@ impl Protection {
     }
 }
 
-impl Alignment {
-    /// Protection levels for an integrity risk in (0, 1).
-    #[must_use]
-    pub fn protection(&self, integrity: &Integrity, risk: f64) -> Protection {
-        // P(|x| > k sigma) <= exp(-k^2 / 2) for a Gaussian.
-        let k = integrity.tail * (-2.0 * risk.ln()).sqrt();
-        let (s, c) = self.pose.yaw_rad.sin_cos();
-        let [[xx, xy, _], [_, yy, _], [_, _, tt]] = self.covariance;
-        let along = c * c * xx + 2.0 * c * s * xy + s * s * yy;
-        let cross = s * s * xx - 2.0 * c * s * xy + c * c * yy;
-        Protection { along_m: k * along.sqrt(), cross_m: k * cross.sqrt(), yaw_rad: k * tt.sqrt() }
-    }
-}
-
-/// The facts an answer is judged by.
-pub(super) struct Case<'a> {
-    pub question: &'a Question<'a>,
-    pub field: &'a Field<'a>,
-    /// The answer, if there is any hill.
-    pub answer: Option<Summit>,
-    /// All summits of the rigid batch, best first; the first is the answer's hill.
-    pub summits: &'a [Summit],
-}
-
-/// Points that fractions are counted on.
-const SAMPLE: usize = 256;
-
-impl Case<'_> {
-    /// The answer with its verdict.
-    pub(super) fn judge(&self, integrity: &Integrity) -> Alignment {
-        let Question { prior, thinned, batch, search, .. } = *self.question;
-        let reach_sq = (search.extent_m * search.extent_m) as f32;
-        let best = self.answer.unwrap_or(Summit::NONE);
-        let rigid = self.summits.first().unwrap_or(&Summit::NONE);
-        let on_map = prior.corrected(&best.correction);
-        let background = self.background();
-        let (matched_fraction, coverage) = self.agreement(&on_map, integrity);
-        // What the crowd says that the map errs by here is taken back from the answer.
-        let off = self.question.view.mean_offset([on_map.x_m, on_map.y_m]);
-        let truer =
-            |c: &Pose2| Pose2::new(c.x_m - off.x_m, c.y_m - off.y_m, wrap_angle(c.yaw_rad - off.yaw_rad));
-        let mut alignment = Alignment {
-            pose: truer(&on_map),
-            correction: truer(&best.correction),
-            covariance: self.covariance(&best, integrity).into(),
-            alternatives: self.alternatives(background, truer),
-            score: rigid.score - background,
-            contrast: rigid.score / background.max(f64::MIN_POSITIVE),
-            margin: self.margin(integrity),
-            points_used: batch.points.iter().filter(|[x, y]| x * x + y * y <= reach_sq).count(),
-            thinned_points: thinned.len(),
-            matched_fraction,
-            coverage,
-            searched: self.question.lattice.half_widths(),
-            verdict: Verdict::Usable,
-        };
-        alignment.verdict = verdict(&alignment, best.at_edge || self.leaves_search(&best), integrity);
-        alignment
-    }
-
-    /// True when the climb ended on the edge of what was searched, or beyond.
-    fn leaves_search(&self, best: &Summit) -> bool {
-        let ((half_m, half_yaw_rad), correction) = (self.question.lattice.half_widths(), best.correction);
-        let shift = correction.x_m.abs().max(correction.y_m.abs());
-        shift > half_m - CELL_M || correction.yaw_rad.abs() > half_yaw_rad
-    }
-
-    /// What the score is at a random shift: the mean over a lattice of the search.
-    fn background(&self) -> f64 {
-        const LATTICE: i32 = 2;
-        let Question { prior, thinned, lattice, .. } = *self.question;
-        let sample = || thinned.iter().step_by(thinned.len() / SAMPLE + 1);
-        let step = lattice.half_widths().0.max(1.0) / f64::from(LATTICE);
-        let shifts = (-LATTICE..=LATTICE).flat_map(|i| (-LATTICE..=LATTICE).map(move |j| (i, j)));
-        let pose = |(i, j)| prior.corrected(&Pose2::new(f64::from(i) * step, f64::from(j) * step, 0.0));
-        let (mut sum, mut count) = (0.0, 0.0);
-        for shift in shifts {
-            sum += self.field.value(sample(), &pose(shift), prior.scale);
-            count += sample().len() as f64;
-        }
-        if count > 0.0 { sum / count } else { 0.0 }
-    }
-
-    /// Shares of the batch that lie on mapped structure and in mapped tiles.
-    fn agreement(&self, pose: &Pose2, integrity: &Integrity) -> (f64, f64) {
-        let Question { prior, thinned, view, .. } = *self.question;
-        let (mut matched, mut covered, mut all) = (0_u32, 0_u32, 0_u32);
-        for [x, y, _] in thinned.iter().step_by(thinned.len() / SAMPLE + 1) {
-            all += 1;
-            let place = pose.transform([f64::from(*x) * prior.scale, f64::from(*y) * prior.scale]);
-            let Some(tile) = view.tile_below(place) else { continue };
-            covered += 1;
-            let near = tile.points.distance_m(place).is_some_and(|d| d <= integrity.matched_within_m);
-            matched += u32::from(near);
-        }
-        let share = |n: u32| if all > 0 { f64::from(n) / f64::from(all) } else { 0.0 };
-        (share(matched), share(covered))
-    }
-
-    /// Log-likelihood by which the answer's hill exceeds the next one, nats; infinite without a next one.
-    fn margin(&self, integrity: &Integrity) -> f64 {
-        let Some((best, rest)) = self.summits.split_first() else { return 0.0 };
-        let apart = self.question.search.separation_m;
-        let next = rest.iter().find(|s| s.correction.distance_m(&best.correction) >= apart);
-        let votes = self.question.thinned.len() as f64 / integrity.score_temperature;
-        next.map_or(f64::INFINITY, |next| votes * (best.score - next.score))
-    }
-
-    /// Summits that are not the answer's, by their score above the background.
-    fn alternatives(&self, background: f64, truer: impl Fn(&Pose2) -> Pose2) -> Alternatives {
-        let mut others = Alternatives::default();
-        let Some((best, rest)) = self.summits.split_first() else { return others };
-        for other in rest {
-            let distinct = |p: &Pose2| p.distance_m(&other.correction) >= self.question.search.separation_m;
-            if distinct(&best.correction)
-                && others.iter().all(|(pose, _)| {
-                    pose.distance_m(&truer(&other.correction)) >= self.question.search.separation_m
-                })
-            {
-                // An answer that is no better than a random shift is rivalled by everything.
-                let above = best.score - background;
-                let relative = if above > 0.0 { (other.score - background) / above } else { 1.0 };
-                others.push(truer(&other.correction), relative.clamp(0.0, 1.0));
-            }
-        }
-        others
-    }
-
-    /// The inverse information times the temperature, and what no number of returns can tell: the
-    /// map's own error.
-    fn covariance(&self, best: &Summit, integrity: &Integrity) -> Matrix3<f64> {
-        let inverse = best.information.cholesky().map(|c| c.inverse() * integrity.temperature);
-        let unheld = Matrix3::from_diagonal_element(f64::INFINITY);
-        let Some(mut covariance) = inverse.filter(|c| c.iter().all(|v| v.is_finite())) else { return unheld };
-        let floor = integrity.map_variance(self.question.view.typical_passes());
-        covariance[(0, 0)] += floor;
-        covariance[(1, 1)] += floor;
-        covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
-        covariance
-    }
-}
-
 /// The first check that the answer does not pass.
-fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
+pub(super) fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
     let sigma_m = worst_sigma_m(&answer.covariance);
     let Alignment { thinned_points: points, coverage, matched_fraction, contrast, .. } = *answer;
     let rival = answer.alternatives.first().filter(|_| answer.margin < integrity.min_margin);
@@ -317,6 +169,7 @@ fn worst_sigma_m(covariance: &[[f64; 3]; 3]) -> f64 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::align::Alternatives;
 
     fn other(x_m: f64, y_m: f64, relative_score: f64) -> Alternatives {
         let mut others = Alternatives::default();

@@ -1,143 +1,144 @@
 //! The weights around a prior, assembled from prepared tiles into one image.
 //!
-//! Assembling is copying rows: nothing is computed for a place that another request has prepared.
+//! Assembling is copying rows: what a tile needs was computed once for its version.
 
 use std::sync::Arc;
 
-use super::weights::{COARSE, TileWeights, mean};
+use super::weights::{COARSE, TileWeights, mean_passes};
 use crate::datum::mean_offset;
 use crate::geo::{CELLS_PER_TILE, TileId};
 use crate::pose::Pose2;
-use crate::window::Frame;
+use crate::window::MapSquare;
 
 /// Bytes beyond the last row, so that a strip that starts in the image can be read whole.
 const PADDING: usize = 64;
 
 /// One of a view's images.
 #[derive(Clone, Copy)]
-pub struct Shown<'a> {
+pub struct ImageView<'a> {
     /// Where it lies.
-    pub frame: Frame,
+    pub square: MapSquare,
     /// Map cells along a pixel's side.
     pub cells: usize,
     /// Pixels along a side.
     pub side: usize,
-    /// Weights, row-major, and some zeros beyond the last row.
-    pub image: &'a [u8],
+    /// Row-major, and some zeros beyond the last row.
+    pub weights: &'a [u8],
 }
 
-/// Which square, and which tiles of it: what was computed from one need not be computed again.
+/// A square and the tiles in it: what was computed from them need not be computed again.
 #[derive(Clone)]
-pub struct Square {
+pub struct WindowTiles {
     /// Where it lies.
-    pub frame: Frame,
+    pub square: MapSquare,
     /// The tiles that exist in it.
     pub tiles: Vec<Arc<TileWeights>>,
 }
 
-impl Square {
-    /// Writes down which square it is, in the place of the last one.
-    pub fn note(slot: &mut Option<Self>, frame: Frame, tiles: &[Arc<TileWeights>]) {
-        let square = slot.get_or_insert_with(|| Self { frame, tiles: Vec::new() });
-        square.frame = frame;
-        square.tiles.clear();
-        square.tiles.extend_from_slice(tiles);
+impl WindowTiles {
+    /// Overwrites the last record with this square and these tiles.
+    pub fn record(slot: &mut Option<Self>, square: MapSquare, tiles: &[Arc<TileWeights>]) {
+        let window = slot.get_or_insert_with(|| Self { square, tiles: Vec::new() });
+        window.square = square;
+        window.tiles.clear();
+        window.tiles.extend_from_slice(tiles);
     }
 
     /// True when these are the same tiles of the same square.
     #[must_use]
-    pub fn is(&self, frame: Frame, tiles: &[Arc<TileWeights>]) -> bool {
+    pub fn same_tiles(&self, square: MapSquare, tiles: &[Arc<TileWeights>]) -> bool {
         let same = |(a, b): (&Arc<_>, &Arc<_>)| Arc::ptr_eq(a, b);
-        self.frame == frame && self.tiles.len() == tiles.len() && self.tiles.iter().zip(tiles).all(same)
+        self.square == square && self.tiles.len() == tiles.len() && self.tiles.iter().zip(tiles).all(same)
     }
 }
 
-/// A square of the map as weights; reused from request to request.
+/// The map window as images of weights; reused from request to request.
 #[derive(Default)]
 pub struct MapView {
-    square: Option<Square>,
+    window: Option<WindowTiles>,
     fine: Vec<u8>,
     coarse: Vec<u8>,
 }
 
 impl MapView {
-    /// Shows a square; tiles that are not given are empty.
-    pub fn show(&mut self, frame: Frame, tiles: &[Arc<TileWeights>]) {
-        if self.square.as_ref().is_some_and(|shown| shown.is(frame, tiles)) {
+    /// Copies the tiles of a square into its images; where no tile is given the map is empty.
+    pub fn assemble(&mut self, square: MapSquare, tiles: &[Arc<TileWeights>]) {
+        if self.window.as_ref().is_some_and(|window| window.same_tiles(square, tiles)) {
             return;
         }
-        Square::note(&mut self.square, frame, tiles);
-        let coarse_side = frame.side / COARSE;
-        // Tiles that are all there overwrite everything.
-        let whole = frame.tiles().count() == tiles.len();
-        reset(&mut self.fine, frame.side * frame.side + PADDING, whole);
+        WindowTiles::record(&mut self.window, square, tiles);
+        let coarse_side = square.side / COARSE;
+        // A full set of tiles overwrites everything.
+        let whole = square.tiles().count() == tiles.len();
+        reset(&mut self.fine, square.side * square.side + PADDING, whole);
         reset(&mut self.coarse, coarse_side * coarse_side + PADDING, whole);
         for tile in tiles {
             let first = tile.id.first_cell();
-            let at = [first.x - frame.origin.x, first.y - frame.origin.y];
-            paste(tile.fine(), CELLS_PER_TILE as i64, &mut self.fine, frame.side as i64, at);
+            let at = [first.x - square.origin.x, first.y - square.origin.y];
+            paste(tile.fine(), CELLS_PER_TILE as i64, &mut self.fine, square.side as i64, at);
             let coarse = COARSE as i64;
             let at = at.map(|c| c.div_euclid(coarse));
             paste(tile.coarse(), CELLS_PER_TILE as i64 / coarse, &mut self.coarse, coarse_side as i64, at);
         }
     }
 
-    /// What is shown.
+    /// The square and the tiles that were assembled.
     ///
     /// # Panics
-    /// Before the first [`MapView::show`].
+    /// Before the first [`MapView::assemble`].
     #[must_use]
-    pub fn square(&self) -> &Square {
-        self.square.as_ref().expect("a view is asked after it was shown")
+    pub fn window(&self) -> &WindowTiles {
+        self.window.as_ref().expect("a view is assembled before it is read")
     }
 
     /// Where it lies.
     #[must_use]
-    pub fn frame(&self) -> Frame {
-        self.square().frame
+    pub fn square(&self) -> MapSquare {
+        self.window().square
     }
 
     /// Weights of cells.
     #[must_use]
-    pub fn fine(&self) -> Shown<'_> {
-        let frame = self.frame();
-        Shown { frame, cells: 1, side: frame.side, image: &self.fine }
+    pub fn fine(&self) -> ImageView<'_> {
+        let square = self.square();
+        ImageView { square, cells: 1, side: square.side, weights: &self.fine }
     }
 
     /// Mean weights of [`COARSE`] x [`COARSE`] cells.
     #[must_use]
-    pub fn coarse(&self) -> Shown<'_> {
-        let frame = self.frame();
-        Shown { frame, cells: COARSE, side: frame.side / COARSE, image: &self.coarse }
+    pub fn coarse(&self) -> ImageView<'_> {
+        let square = self.square();
+        ImageView { square, cells: COARSE, side: square.side / COARSE, weights: &self.coarse }
     }
 
-    /// The tile below a place (map metres), if the map has it.
+    /// The tile at a position (map metres), if the map has it.
     #[must_use]
-    pub fn tile_below(&self, place: [f64; 2]) -> Option<&TileWeights> {
-        let id = TileId::of(self.frame().zone, place);
-        self.square().tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
+    pub fn tile_at(&self, position: [f64; 2]) -> Option<&TileWeights> {
+        let id = TileId::of(self.square().zone, position);
+        self.window().tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
     }
 
-    /// How far the crowd says that the map errs at a place (map metres): metres east and north, radians.
+    /// The map's own offset at a position (map metres), by the tiles' data: metres east and north, radians.
     #[must_use]
-    pub fn mean_offset(&self, place: [f64; 2]) -> Pose2 {
-        let tiles = &self.square().tiles;
-        mean_offset(self.frame().zone, place, |id| {
+    pub fn mean_offset(&self, position: [f64; 2]) -> Pose2 {
+        let tiles = &self.window().tiles;
+        mean_offset(self.square().zone, position, |id| {
             tiles.iter().find(|tile| tile.id == id).map(|tile| tile.datum).unwrap_or_default()
         })
     }
 
     /// Passes over the cell of a typical hit: how many surveys the map here amounts to. Most hits are those of the
-    /// busiest street, though another may be what holds the pose: its tiles' passes are a bound, each tile counting for
-    /// what it weighs, and not for how often it was driven through.
+    /// busiest street, though the batch may be aligned by another one. Therefore a second figure bounds it, in which each
+    /// tile counts by its hits in one pass, however often it was driven through.
     #[must_use]
     pub fn typical_passes(&self) -> f64 {
-        let tiles = &self.square().tiles;
+        let tiles = &self.window().tiles;
         let sum = |[a, b]: [f64; 2], tile: &Arc<TileWeights>| [a + tile.passes[0], b + tile.passes[1]];
-        let typical = mean(tiles.iter().fold([0.0; 2], sum));
+        let typical = mean_passes(tiles.iter().fold([0.0; 2], sum));
         let (mut weight, mut variance) = (0.0, 0.0);
         for tile in tiles {
-            let passes = if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { mean(tile.passes) };
+            let passes =
+                if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { mean_passes(tile.passes) };
             let hits_of_a_pass = tile.passes[1] / passes;
             weight += hits_of_a_pass;
             variance += hits_of_a_pass / passes;
@@ -177,48 +178,48 @@ mod tests {
     use crate::tile::Tile;
 
     #[test]
-    fn every_cell_shows_its_tiles_weight() {
+    fn every_cell_has_its_tiles_weight() {
         let zone = Zone::from_epsg(32614).unwrap();
-        let place = [600_010.0, 3_300_020.0];
-        let id = TileId::of(zone, place);
+        let position = [600_010.0, 3_300_020.0];
+        let id = TileId::of(zone, position);
         let cell = |i| Cell { hits: 1 + i % 7, passes: 2, presence: ALWAYS, ..Cell::default() };
         let cells = (0..2000).map(|i| (i * 131, cell(i)));
         let tile = Tile::from_cells(cells.collect()).unwrap();
         let weights = Arc::new(TileWeights::new(id, |at| (at == id).then_some(&tile)));
-        let frame = Frame::around(zone, place, 50.0, 6.0);
+        let square = MapSquare::around(zone, position, 50.0, 6.0);
         let mut view = MapView::default();
-        view.show(frame, std::slice::from_ref(&weights));
+        view.assemble(square, std::slice::from_ref(&weights));
         let first = id.first_cell();
         for (index, value) in weights.fine().iter().enumerate() {
             let (x, y) = (
-                first.x + index as i64 % 512 - frame.origin.x,
-                first.y + index as i64 / 512 - frame.origin.y,
+                first.x + index as i64 % 512 - square.origin.x,
+                first.y + index as i64 / 512 - square.origin.y,
             );
-            let side = frame.side as i64;
+            let side = square.side as i64;
             if (0..side).contains(&x) && (0..side).contains(&y) {
-                assert_eq!(view.fine().image[(y * side + x) as usize], *value);
+                assert_eq!(view.fine().weights[(y * side + x) as usize], *value);
             }
         }
-        let shown: u64 = view.fine().image.iter().map(|v| u64::from(*v)).sum();
-        assert!(shown > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
-        let [x, y] = frame.to_metres([0.0, 0.0]);
-        assert!(view.tile_below([x - CELL_M, y]).is_none() && view.tile_below(place).is_some());
+        let total: u64 = view.fine().weights.iter().map(|v| u64::from(*v)).sum();
+        assert!(total > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
+        let [x, y] = square.to_metres([0.0, 0.0]);
+        assert!(view.tile_at([x - CELL_M, y]).is_none() && view.tile_at(position).is_some());
     }
 
-    /// Catches: a map's error that is reckoned from the avenue where the vehicle is held by the lane's fronts.
+    /// Catches: a map's error computed from the avenue where the batch is aligned by the lane's fronts.
     #[test]
-    fn a_busy_street_does_not_speak_for_the_lane_beside_it() {
+    fn a_busy_street_does_not_count_for_the_lane_beside_it() {
         let zone = Zone::from_epsg(32614).unwrap();
-        let place = [600_010.0, 3_300_020.0];
+        let position = [600_010.0, 3_300_020.0];
         let driven = |x, passes| {
-            let id = TileId { x, ..TileId::of(zone, place) };
+            let id = TileId { x, ..TileId::of(zone, position) };
             let cell = Cell { hits: 2 * passes, passes, presence: ALWAYS, ..Cell::default() };
             let tile = Tile::from_cells((0..2000).map(|i| (i * 131, cell)).collect()).unwrap();
             Arc::new(TileWeights::new(id, |at| (at == id).then_some(&tile)))
         };
-        let x = TileId::of(zone, place).x;
+        let x = TileId::of(zone, position).x;
         let mut view = MapView::default();
-        view.show(Frame::around(zone, place, 50.0, 6.0), &[driven(x, 3), driven(x + 1, 200)]);
+        view.assemble(MapSquare::around(zone, position, 50.0, 6.0), &[driven(x, 3), driven(x + 1, 200)]);
         assert!((5.8..6.0).contains(&view.typical_passes()), "{}", view.typical_passes());
     }
 }

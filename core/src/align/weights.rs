@@ -6,8 +6,8 @@
 //! weighs more than what was there once. Bytes keep a tile in a quarter of a megabyte and sums exact, so
 //! that every engine finds the same maximum.
 
-use super::smoothing::{self, HALO, Placed};
-use crate::agreement::PointIndex;
+use super::smoothing::{self, CellMass, HALO};
+use crate::agreement::MapPointIndex;
 use crate::datum::Datum;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
@@ -20,10 +20,10 @@ pub const COARSE: usize = 4;
 
 const SIDE: usize = CELLS_PER_TILE;
 
-/// A block of [`COARSE`] x [`COARSE`] cells that holds any hits: what one vote of a batch may come from.
+/// A block of [`COARSE`] x [`COARSE`] cells with any hits: a possible source of one vote of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Block {
-    /// Mean place of its hits, metres from the tile's south-west corner.
+pub struct OccupiedBlock {
+    /// Mean position of its hits, metres from the tile's south-west corner.
     pub at: [f32; 2],
     /// Its hits in one of the passes that saw it.
     pub hits: f32,
@@ -38,9 +38,9 @@ pub struct TileWeights {
     /// Mean weights of [`COARSE`] x [`COARSE`] cells.
     coarse: Box<[u8]>,
     /// The points of the tile and its borders.
-    pub points: PointIndex,
+    pub points: MapPointIndex,
     /// What stands in the tile itself, block by block.
-    pub blocks: Box<[Block]>,
+    pub blocks: Box<[OccupiedBlock]>,
     /// Occupied cells of the tile itself.
     pub cells: usize,
     /// Last UTC day anything was seen in it, counted from the Unix epoch.
@@ -57,11 +57,11 @@ impl TileWeights {
     pub fn new<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
         let empty = Tile::default();
         let own = tile_at(id).unwrap_or(&empty);
-        let placed = around(id, &tile_at);
-        let fine = smoothing::weights(&placed);
+        let masses = around(id, &tile_at);
+        let fine = smoothing::weights(&masses);
         let [x0, y0] = id.origin();
-        let points = PointIndex::new(
-            placed.iter().map(|Placed { at: [x, y], .. }| [x0 + x * CELL_M, y0 + y * CELL_M]),
+        let points = MapPointIndex::new(
+            masses.iter().map(|CellMass { at: [x, y], .. }| [x0 + x * CELL_M, y0 + y * CELL_M]),
         );
         Self {
             id,
@@ -99,11 +99,11 @@ impl TileWeights {
     }
 }
 
-/// Cells of a tile and of its neighbours' borders: mean place of the hits, and their mass.
-fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<Placed> {
+/// Cells of a tile and of its neighbours' borders: mean position of the hits, and their mass.
+fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<CellMass> {
     let side = SIDE as i64;
     let inside = -HALO..side + HALO;
-    let mut placed = Vec::new();
+    let mut masses = Vec::new();
     for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
         let neighbour = TileId { y: id.y + dy, x: id.x + dx, ..id };
         let Some(tile) = tile_at(neighbour) else { continue };
@@ -112,19 +112,19 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
         let before =
             |y: i64| tile.cells().partition_point(|(index, _)| i64::from(*index) / side + first[1] < y);
         let near = &tile.cells()[before(inside.start)..before(inside.end)];
-        placed.extend(near.iter().filter_map(|(index, cell)| {
+        masses.extend(near.iter().filter_map(|(index, cell)| {
             let (x, y) = (first[0] + i64::from(*index) % side, first[1] + i64::from(*index) / side);
             inside.contains(&x).then(|| {
                 let [fx, fy] = cell.centroid();
-                Placed { at: [x as f64 + fx, y as f64 + fy], mass: cell.mass() as f32 }
+                CellMass { at: [x as f64 + fx, y as f64 + fy], mass: cell.mass() as f32 }
             })
         }));
     }
-    placed
+    masses
 }
 
 /// The occupied blocks of a tile, row by row.
-fn blocks(tile: &Tile) -> Box<[Block]> {
+fn blocks(tile: &Tile) -> Box<[OccupiedBlock]> {
     const BLOCKS: usize = SIDE / COARSE;
     let mut sums = vec![[0.0_f32; 4]; BLOCKS * BLOCKS];
     for (index, cell) in tile.cells() {
@@ -142,7 +142,7 @@ fn blocks(tile: &Tile) -> Box<[Block]> {
     let occupied = sums.into_iter().filter(|[_, _, hits, _]| *hits > 0.0);
     let mean = |sum: f32, hits: f32| sum / hits * CELL_M as f32;
     occupied
-        .map(|[x, y, hits, of_a_pass]| Block { at: [mean(x, hits), mean(y, hits)], hits: of_a_pass })
+        .map(|[x, y, hits, of_a_pass]| OccupiedBlock { at: [mean(x, hits), mean(y, hits)], hits: of_a_pass })
         .collect()
 }
 
@@ -156,7 +156,7 @@ fn typical_passes<'a>(cells: impl Iterator<Item = &'a Cell>) -> [f64; 2] {
 
 /// Passes over the cell of a typical hit, 1 without hits: how many surveys a map amounts to.
 #[must_use]
-pub fn mean([weighted, hits]: [f64; 2]) -> f64 {
+pub fn mean_passes([weighted, hits]: [f64; 2]) -> f64 {
     if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 

@@ -1,7 +1,8 @@
-//! The paper's pessimistic inverse sensor model.
+//! The paper's pessimistic inverse sensor model. Paper only: used by the evaluation.
 
 /// The paper's pessimistic inverse sensor model (Sec. "A Pessimistic Inverse Sensor Model"): a
-/// return raises a cell, nothing lowers one.
+/// return raises a cell, nothing lowers one. Paper only: used by the evaluation; the service's evidence is
+/// [`Cell::mass`](super::Cell::mass).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InverseSensorModel {
     /// p(O): belief in a cell before any measurement, and after a scan that did not hit it.

@@ -1,5 +1,5 @@
-//! Several contributors are quarantined in one place, and agree with each other: perhaps it is the map that is
-//! wrong, or the place has changed. Nothing follows by itself; an operator looks at it.
+//! Uploads of several contributors are quarantined near each other, and agree: perhaps the map is wrong, or
+//! the street has changed. Nothing follows by itself; an operator looks at it.
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -11,10 +11,10 @@ use crate::geo::Zone;
 
 /// A quarantined upload.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Quarantined {
-    /// The zone of its place.
+pub struct QuarantinedUpload {
+    /// The zone of its position.
     pub zone: Zone,
-    /// Where it was, map metres.
+    /// The position of the upload, map metres.
     pub place: [f64; 2],
     /// By how much it lies beside the map; `None` when it shows something else than the map.
     pub offset: Option<Offset>,
@@ -29,7 +29,7 @@ pub struct Quarantined {
 pub struct AlarmLimits {
     /// Distinct contributors, at least.
     pub contributors: usize,
-    /// Distance from one of them, metres, that all of them keep.
+    /// All of them lie within this distance of one of them, metres.
     pub within_m: f64,
     /// Their shifts differ from that one's by no more than this, metres.
     pub shift_m: f64,
@@ -45,8 +45,8 @@ impl Default for AlarmLimits {
 
 /// What quarantined uploads agree on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// The map lies beside where they see it, by about this offset.
+pub enum AlarmKind {
+    /// They see the map shifted, by about this offset.
     Shift(Offset),
     /// They show something else than the map.
     Changed,
@@ -55,12 +55,12 @@ pub enum Kind {
 /// Quarantined uploads that agree with each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Alarm {
-    /// The zone of its place.
+    /// The zone of its position.
     pub zone: Zone,
-    /// The middle of the uploads' places, map metres.
+    /// The middle of the uploads' positions, map metres.
     pub place: [f64; 2],
     /// What they agree on.
-    pub kind: Kind,
+    pub kind: AlarmKind,
     /// Distinct contributors.
     pub contributors: usize,
     /// Day of the first of the uploads, counted from the Unix epoch.
@@ -71,15 +71,15 @@ pub struct Alarm {
 const MOST: usize = 2000;
 
 /// The alarms that quarantined uploads make, those of most contributors first; an upload belongs to one at most.
-/// Their order does not matter. What one contributor says again near the same place counts once, as of the first day;
-/// of very many that are left, the newest are looked at.
+/// Their order does not matter. What one contributor uploads again near the same position counts once, as of the first
+/// day; of very many that are left, the newest are looked at.
 #[must_use]
-pub fn alarms(quarantined: &[Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
+pub fn alarms(quarantined: &[QuarantinedUpload], limits: &AlarmLimits) -> Vec<Alarm> {
     let distinct = distinct(quarantined, limits);
     let zones: BTreeSet<Zone> = distinct.iter().map(|q| q.zone).collect();
     let mut alarms = Vec::new();
     for zone in zones {
-        let mut here: Vec<&Quarantined> = distinct.iter().filter(|q| q.zone == zone).copied().collect();
+        let mut here: Vec<&QuarantinedUpload> = distinct.iter().filter(|q| q.zone == zone).copied().collect();
         here.sort_by_key(|q| (q.place.map(f64::to_bits), q.contributor, q.day, q.offset));
         alarms.extend(in_zone(&here, limits));
     }
@@ -87,9 +87,9 @@ pub fn alarms(quarantined: &[Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
     alarms
 }
 
-/// The first of what each contributor says near each place.
-fn distinct<'a>(quarantined: &'a [Quarantined], limits: &AlarmLimits) -> Vec<&'a Quarantined> {
-    let mut all: Vec<&Quarantined> = quarantined.iter().collect();
+/// The first upload of each contributor near each position.
+fn distinct<'a>(quarantined: &'a [QuarantinedUpload], limits: &AlarmLimits) -> Vec<&'a QuarantinedUpload> {
+    let mut all: Vec<&QuarantinedUpload> = quarantined.iter().collect();
     all.sort_by_key(|q| (q.day, q.place.map(f64::to_bits), q.contributor, q.offset));
     let step = |value: f64, size: f64| (value / size).round() as i64;
     let mut said = BTreeSet::new();
@@ -105,12 +105,12 @@ fn distinct<'a>(quarantined: &'a [Quarantined], limits: &AlarmLimits) -> Vec<&'a
     all.split_off(all.len().saturating_sub(MOST))
 }
 
-fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
+fn in_zone(here: &[&QuarantinedUpload], limits: &AlarmLimits) -> Vec<Alarm> {
     let places: Vec<[f64; 2]> = here.iter().map(|q| q.place).collect();
-    // A tree is refused for more places than it can number.
+    // A tree is refused for more positions than it can number.
     let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&places) else { return Vec::new() };
     let within = limits.within_m * limits.within_m;
-    let around = |seed: &&Quarantined| {
+    let around = |seed: &&QuarantinedUpload| {
         let near = tree.query(&seed.place).within::<SquaredEuclidean<f64>>(within).execute();
         let mut group: Vec<usize> = near.into_iter().map(|n| n.item as usize).collect();
         group.retain(|other| alike(seed, here[*other], limits));
@@ -135,7 +135,7 @@ fn in_zone(here: &[&Quarantined], limits: &AlarmLimits) -> Vec<Alarm> {
 }
 
 /// True when two uploads, near each other, may be quarantined for the same reason.
-fn alike(a: &Quarantined, b: &Quarantined, limits: &AlarmLimits) -> bool {
+fn alike(a: &QuarantinedUpload, b: &QuarantinedUpload, limits: &AlarmLimits) -> bool {
     match (a.offset, b.offset) {
         (None, None) => true,
         (Some(a), Some(b)) => {
@@ -146,11 +146,11 @@ fn alike(a: &Quarantined, b: &Quarantined, limits: &AlarmLimits) -> bool {
     }
 }
 
-fn contributors(here: &[&Quarantined], group: &[usize]) -> usize {
+fn contributors(here: &[&QuarantinedUpload], group: &[usize]) -> usize {
     group.iter().map(|member| here[*member].contributor).collect::<BTreeSet<_>>().len()
 }
 
-fn alarm(here: &[&Quarantined], group: &[usize]) -> Option<Alarm> {
+fn alarm(here: &[&QuarantinedUpload], group: &[usize]) -> Option<Alarm> {
     let members = || group.iter().map(|member| here[*member]);
     let count = group.len() as f64;
     let place = [0, 1].map(|axis: usize| members().map(|q| q.place[axis]).sum::<f64>() / count);
@@ -160,9 +160,9 @@ fn alarm(here: &[&Quarantined], group: &[usize]) -> Option<Alarm> {
         (sum / (offsets.len() as i64).max(1)) as i32
     };
     let kind = if offsets.is_empty() {
-        Kind::Changed
+        AlarmKind::Changed
     } else {
-        Kind::Shift(Offset {
+        AlarmKind::Shift(Offset {
             east_mm: mean(|o| o.east_mm),
             north_mm: mean(|o| o.north_mm),
             yaw_urad: mean(|o| o.yaw_urad),
@@ -177,13 +177,13 @@ fn alarm(here: &[&Quarantined], group: &[usize]) -> Option<Alarm> {
 mod tests {
     use super::*;
 
-    fn upload(x: f64, offset_mm: Option<[i32; 2]>, contributor: u64, day: u16) -> Quarantined {
+    fn upload(x: f64, offset_mm: Option<[i32; 2]>, contributor: u64, day: u16) -> QuarantinedUpload {
         let offset = offset_mm.map(|[east_mm, north_mm]| Offset { east_mm, north_mm, yaw_urad: 0 });
         let zone = Zone::from_epsg(32614).expect("a zone");
-        Quarantined { zone, place: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
+        QuarantinedUpload { zone, place: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
     }
 
-    fn found(quarantined: &[Quarantined]) -> Vec<Alarm> {
+    fn found(quarantined: &[QuarantinedUpload]) -> Vec<Alarm> {
         alarms(quarantined, &AlarmLimits::default())
     }
 
@@ -196,7 +196,7 @@ mod tests {
         ];
         let [alarm] = found(&three)[..] else { panic!("one alarm: {:?}", found(&three)) };
         assert_eq!((alarm.contributors, alarm.since), (3, 20_001));
-        assert_eq!(alarm.kind, Kind::Shift(Offset { east_mm: 1000, north_mm: 0, yaw_urad: 0 }));
+        assert_eq!(alarm.kind, AlarmKind::Shift(Offset { east_mm: 1000, north_mm: 0, yaw_urad: 0 }));
         assert!((alarm.place[0] - 600_030.0).abs() < 1e-9);
         let reversed: Vec<_> = three.iter().rev().copied().collect();
         assert_eq!(found(&reversed), [alarm]);
@@ -230,7 +230,7 @@ mod tests {
         let both: Vec<_> = shifted.chain(changed).collect();
         let alarms = found(&both);
         assert_eq!(alarms.iter().map(|a| a.contributors).collect::<Vec<_>>(), [4, 3]);
-        assert_eq!((alarms[0].kind, alarms[0].since), (Kind::Changed, 4));
+        assert_eq!((alarms[0].kind, alarms[0].since), (AlarmKind::Changed, 4));
         assert!(found(&[]).is_empty());
     }
 
@@ -246,7 +246,7 @@ mod tests {
         assert_eq!(found(&many).iter().map(|a| a.contributors).collect::<Vec<_>>(), [MOST]);
     }
 
-    /// The tree must take many uploads of one place: a spammer's, say.
+    /// The tree must take many uploads of one position: a spammer's, say.
     #[test]
     fn many_uploads_of_one_place_are_indexed() {
         let many: Vec<_> = (0..3000).map(|i| upload(0.0, None, i % 5, 1)).collect();

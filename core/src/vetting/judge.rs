@@ -1,11 +1,12 @@
-//! What the parts of an upload say together.
+//! The verdict on an upload, from its parts together.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::part::{self, Part, Placement, Prober, Probing};
-use super::{MapSide, Offsets, Share};
+use super::matching::{PartMatch, PartMatcher, Probing};
+use super::part::{UploadPart, parts};
+use super::{MapSide, Offsets, TileHits};
 use crate::datum::{Offset, mean_offset};
 use crate::geo::TileId;
 use crate::pose::Pose2;
@@ -13,23 +14,23 @@ use crate::pose::Pose2;
 /// When an upload agrees with the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Shift from where the crowd says the truth is, metres, beyond which an upload is wrong; the mean of few
-    /// errs itself, which allows for `sqrt(1 + 1 / passes)` times as much.
+    /// Shift beyond which an upload is wrong, metres, from the map less its own offset. That is a mean, which of few
+    /// passes errs itself: `sqrt(1 + 1 / passes)` times as much is allowed.
     pub shift_m: f64,
     /// The same for the turn, radians.
     pub yaw_rad: f64,
-    /// One-sigma error of an honest upload along each axis, metres: what nothing holds is drawn to the
-    /// crowd's mean by it.
+    /// One-sigma error of an honest upload along each axis, metres: the prior by which an offset that the
+    /// map does not determine is drawn to zero.
     pub sigma_m: f64,
     /// The same for its heading, radians.
     pub sigma_yaw_rad: f64,
-    /// Share of a part near which the map must have something, for the part to be placed by it.
+    /// Fraction of a part near which the map must have something, for the part to be matched.
     pub min_coverage: f64,
-    /// The same, for the map to tell that the part belongs elsewhere or nowhere.
+    /// The same, for the part to be judged wrong.
     pub known_coverage: f64,
-    /// Score relative to a random shift's, below which a part is found nowhere.
+    /// Score relative to a random shift's, below which a part matches nowhere.
     pub min_contrast: f64,
-    /// How parts are made and placed.
+    /// How parts are made and matched.
     pub probing: Probing,
 }
 
@@ -48,7 +49,7 @@ impl Default for Limits {
     }
 }
 
-/// Why an upload is kept out of the map.
+/// Why an upload is quarantined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Reason {
     /// It lies beside the map.
@@ -59,51 +60,51 @@ pub enum Reason {
     Disagrees,
 }
 
-/// What vetting says of an upload.
+/// The outcome of vetting.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Vetted {
     /// It agrees; moved by these offsets it lies on the map.
     Agrees(Offsets),
-    /// The map has nothing there to hold it against. These offsets are what its neighbourhood was moved by.
+    /// The map has nothing there to compare it with. These offsets are those of its neighbourhood.
     New(Offsets),
-    /// It is kept out of the map.
+    /// It does not agree, and stays out of the map.
     Quarantined {
         /// Why.
         reason: Reason,
-        /// What would move it to where the crowd says the truth is, where that could be measured.
+        /// The offset that would correct it, where that could be measured.
         offset: Option<Offset>,
     },
 }
 
-/// One thread's engine and buffers.
+/// Vets uploads, with the buffers of one thread.
 #[derive(Default)]
 pub struct Vetter {
-    prober: Prober,
+    matcher: PartMatcher,
 }
 
-/// A part of an upload, and what it says.
+/// A part of an upload, and the verdict on it.
 #[derive(Debug, Clone)]
-pub struct Probed {
+pub struct JudgedPart {
     /// The part.
-    pub part: Part,
-    /// What the crowd says that the map errs by, at the part's middle.
+    pub part: UploadPart,
+    /// The map's own offset at the part's middle.
     pub expected: Pose2,
-    /// Where the part lies, if the map has anything there.
-    pub placement: Option<Placement>,
-    /// What it says.
-    pub voice: Voice,
+    /// How it matches, if the map has anything there.
+    pub found: Option<PartMatch>,
+    /// The verdict.
+    pub verdict: PartVerdict,
 }
 
-/// What a part says.
+/// The verdict on a part.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Voice {
-    /// Nothing: the map knows too little there.
+pub enum PartVerdict {
+    /// None: the map knows too little there.
     None,
-    /// It is found nowhere.
+    /// It matches nowhere.
     Lost,
-    /// It lies here.
+    /// It matches here.
     Found {
-        /// Shift and turn beyond what was expected, drawn to zero where nothing holds the part.
+        /// Shift and turn beyond the expected ones, drawn to zero where the map does not determine them.
         error: Pose2,
         /// The same in limits: shift and turn.
         excess: [f64; 2],
@@ -111,49 +112,49 @@ pub enum Voice {
 }
 
 impl Vetter {
-    /// Holds an upload, its cells in one zone, against the map.
-    pub fn vet(&mut self, shares: &[Share], map: &dyn MapSide, limits: &Limits) -> Vetted {
-        together(&self.probe(shares, map, limits))
+    /// Compares an upload, its cells in one zone, with the map.
+    pub fn vet(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &Limits) -> Vetted {
+        together(&self.judge_parts(tiles, map, limits))
     }
 
-    /// The parts of an upload and what each says: what [`Vetter::vet`] rests on.
-    pub fn probe(&mut self, shares: &[Share], map: &dyn MapSide, limits: &Limits) -> Vec<Probed> {
-        let mut tiles = BTreeMap::new();
-        let mut probed = Vec::new();
-        for part in part::parts(shares, limits.probing.extent_m) {
+    /// The parts of an upload and the verdict on each: what [`Vetter::vet`] rests on.
+    pub fn judge_parts(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &Limits) -> Vec<JudgedPart> {
+        let mut prepared = BTreeMap::new();
+        let mut judged = Vec::new();
+        for part in parts(tiles, limits.probing.extent_m) {
             let id = TileId::of(part.zone, part.middle);
             let expected = mean_offset(part.zone, part.middle, |id| map.datum(id));
             let young = (1.0 + 1.0 / f64::from(map.datum(id).passes.max(1))).sqrt();
-            let placement = self.prober.place(&part, &expected, map, &mut tiles, &limits.probing);
-            let voice = placement.map_or(Voice::None, |at| voice(&at, young, limits));
-            probed.push(Probed { part, expected, placement, voice });
+            let found = self.matcher.find(&part, &expected, map, &mut prepared, &limits.probing);
+            let verdict = found.map_or(PartVerdict::None, |found| part_verdict(&found, young, limits));
+            judged.push(JudgedPart { part, expected, found, verdict });
         }
-        probed
+        judged
     }
 }
 
-fn voice(at: &Placement, young: f64, limits: &Limits) -> Voice {
+fn part_verdict(at: &PartMatch, young: f64, limits: &Limits) -> PartVerdict {
     let sigma = [limits.sigma_m, limits.sigma_m, limits.sigma_yaw_rad].map(|s| s * young);
     let error = drawn(&at.error, &at.covariance, sigma);
     let excess = [error.x_m.hypot(error.y_m) / limits.shift_m, error.yaw_rad.abs() / limits.yaw_rad];
     let excess = excess.map(|e| e / young);
     let held = at.covariance.iter().all(|v| v.is_finite());
     let fits = held && at.contrast >= limits.min_contrast;
-    let found = Voice::Found { error, excess };
+    let here = PartVerdict::Found { error, excess };
     let known = at.coverage >= limits.known_coverage;
     if excess.iter().all(|e| *e <= 1.0) {
         return match (fits, known) {
-            (true, _) if at.coverage >= limits.min_coverage => found,
-            (false, true) if at.contrast < limits.min_contrast => Voice::Lost,
-            _ => Voice::None,
+            (true, _) if at.coverage >= limits.min_coverage => here,
+            (false, true) if at.contrast < limits.min_contrast => PartVerdict::Lost,
+            _ => PartVerdict::None,
         };
     }
-    // The expected place was given up for another one: that tells something only where the map is known.
+    // It matches elsewhere than expected: that means something only where the map is known.
     let clear = fits && !at.at_edge && at.margin >= limits.probing.min_margin;
     match (known, clear) {
-        (false, _) => Voice::None,
-        (true, true) => found,
-        (true, false) => Voice::Lost,
+        (false, _) => PartVerdict::None,
+        (true, true) => here,
+        (true, false) => PartVerdict::Lost,
     }
 }
 
@@ -166,17 +167,19 @@ fn drawn(measured: &Pose2, covariance: &Matrix3<f64>, sigma: [f64; 3]) -> Pose2 
     Pose2::new(x, y, yaw)
 }
 
-/// What the parts say, each counting by its blocks.
-fn together(probed: &[Probed]) -> Vetted {
+/// The parts together, each weighted by its points.
+fn together(judged: &[JudgedPart]) -> Vetted {
     let (mut agree, mut lost, mut wrong) = (0, 0, [0, 0]);
     let mut errors = Vec::new();
-    for Probed { placement, voice, .. } in probed {
-        let Some(Placement { points, error, .. }) = placement else { continue };
-        match voice {
-            Voice::None => {}
-            Voice::Lost => lost += points,
-            Voice::Found { excess: [shift, turn], .. } if *shift <= 1.0 && *turn <= 1.0 => agree += points,
-            Voice::Found { excess: [_, turn], .. } => {
+    for JudgedPart { found, verdict, .. } in judged {
+        let Some(PartMatch { points, error, .. }) = found else { continue };
+        match verdict {
+            PartVerdict::None => {}
+            PartVerdict::Lost => lost += points,
+            PartVerdict::Found { excess: [shift, turn], .. } if *shift <= 1.0 && *turn <= 1.0 => {
+                agree += points;
+            }
+            PartVerdict::Found { excess: [_, turn], .. } => {
                 wrong[usize::from(*turn > 1.0)] += points;
                 errors.push((*error, *points));
             }
@@ -184,10 +187,10 @@ fn together(probed: &[Probed]) -> Vetted {
     }
     let [shifted, turned] = wrong;
     if agree > 0 && agree >= lost + shifted + turned {
-        return Vetted::Agrees(offsets(probed));
+        return Vetted::Agrees(offsets(judged));
     }
     if lost + shifted + turned == 0 {
-        return Vetted::New(offsets(probed));
+        return Vetted::New(offsets(judged));
     }
     if lost > shifted + turned {
         return Vetted::Quarantined { reason: Reason::Disagrees, offset: None };
@@ -196,11 +199,11 @@ fn together(probed: &[Probed]) -> Vetted {
     Vetted::Quarantined { reason, offset: heaviest(&errors).map(|error| Offset::of(&error)) }
 }
 
-/// What moves the parts that agree onto the map; if none does, what is expected of them.
-fn offsets(probed: &[Probed]) -> Offsets {
+/// The offsets that move the parts that agree onto the map; if none does, the expected ones.
+fn offsets(judged: &[JudgedPart]) -> Offsets {
     let mut offsets = Offsets::default();
-    for Probed { part, expected, placement, voice } in probed {
-        let (Voice::Found { error, excess }, Some(at)) = (voice, placement) else { continue };
+    for JudgedPart { part, expected, found, verdict } in judged {
+        let (PartVerdict::Found { error, excess }, Some(at)) = (verdict, found) else { continue };
         if excess.iter().all(|e| *e <= 1.0) {
             let onto_map = sum(expected, error);
             let spread = at.covariance[(0, 0)] + at.covariance[(1, 1)];
@@ -208,21 +211,21 @@ fn offsets(probed: &[Probed]) -> Offsets {
         }
     }
     if offsets.is_empty() {
-        for Probed { part, expected, .. } in probed {
+        for JudgedPart { part, expected, .. } in judged {
             offsets.push(part.middle, Offset::of(expected), 1.0);
         }
     }
     offsets
 }
 
-/// What a part's place is uncertain by, however well it is held, metres.
+/// The least uncertainty of a part's offset, metres.
 const FLOOR_M: f64 = 0.05;
 
 fn sum(a: &Pose2, b: &Pose2) -> Pose2 {
     Pose2::new(a.x_m + b.x_m, a.y_m + b.y_m, a.yaw_rad + b.yaw_rad)
 }
 
-/// The error of the part with most blocks.
+/// The error of the part with most points.
 fn heaviest(errors: &[(Pose2, usize)]) -> Option<Pose2> {
     errors.iter().max_by_key(|(_, points)| *points).map(|(error, _)| *error)
 }

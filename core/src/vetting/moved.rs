@@ -2,29 +2,29 @@
 
 use std::collections::BTreeMap;
 
-use super::{Offsets, Share};
+use super::{Offsets, TileHits};
 use crate::datum::Offset;
 use crate::evidence::{self, CellHits, OFFSET_STEPS};
 use crate::geo::{CELL_M, CellIndex, TILE_M, TileId};
 
-/// Moves cells by the offset at their place: each goes whole, with the mean place of its hits, into the cell
-/// where that place comes to lie, be it another tile's. Hits are conserved.
+/// Moves cells by the offset at their position: each goes whole, with the mean position of its hits, into the cell
+/// that holds the new position, be it another tile's. Hits are conserved.
 #[must_use]
-pub fn moved(shares: &[Share], offsets: &Offsets) -> BTreeMap<TileId, Vec<CellHits>> {
-    let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
-    for (id, cells) in shares {
+pub fn moved(tiles: &[TileHits], offsets: &Offsets) -> BTreeMap<TileId, Vec<CellHits>> {
+    let mut moved: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
+    for (id, cells) in tiles {
         for cell in cells.iter().filter(|cell| cell.hits > 0) {
             let (to, hits) = shifted(*id, cell, offsets);
             let (tile, index) = TileId::locate(id.zone, to);
             let empty = CellHits { index, hits: 0, offset_sum: [0, 0] };
-            let sum = tiles.entry(tile).or_default().entry(index).or_insert(empty);
+            let sum = moved.entry(tile).or_default().entry(index).or_insert(empty);
             sum.hits = sum.hits.saturating_add(hits.hits);
             for axis in 0..2 {
                 sum.offset_sum[axis] = sum.offset_sum[axis].saturating_add(hits.offset_sum[axis]);
             }
         }
     }
-    tiles.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
+    moved.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
 }
 
 /// The cell that a cell's hits move to, and their offsets in it.
@@ -33,8 +33,8 @@ fn shifted(id: TileId, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHi
     let steps = i64::from(OFFSET_STEPS);
     let hits = i64::from(cell.hits);
     let mean = cell.offset_sum.map(|sum| f64::from(sum) / f64::from(cell.hits) / f64::from(OFFSET_STEPS));
-    let place = [(from.x as f64 + mean[0]) * CELL_M, (from.y as f64 + mean[1]) * CELL_M];
-    let by = offsets.at(place);
+    let position = [(from.x as f64 + mean[0]) * CELL_M, (from.y as f64 + mean[1]) * CELL_M];
+    let by = offsets.at(position);
     let axis = |from: i64, sum: u32, by_m: f64| {
         let by_steps = (by_m / CELL_M * f64::from(OFFSET_STEPS)).round() as i64;
         let sum = i64::from(sum) + hits * by_steps;
@@ -47,10 +47,10 @@ fn shifted(id: TileId, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHi
     (CellIndex { x, y }, CellHits { offset_sum: [east, north], ..*cell })
 }
 
-/// A contribution's shares in one zone, in order of their tiles, moved onto the map; each with what moved it
-/// at its tile's centre. What was in view is not moved: its blocks are coarser than any offset.
+/// The evidence of an upload in one zone, in order of its tiles, moved onto the map; each tile's with the offset
+/// at the tile's centre. What was in view is not moved: its blocks are coarser than any offset.
 #[must_use]
-pub fn moved_shares(
+pub fn moved_evidence(
     shares: &[(TileId, &evidence::TileEvidence)],
     offsets: &Offsets,
 ) -> Vec<(TileId, evidence::TileEvidence, Offset)> {
@@ -94,7 +94,7 @@ mod tests {
         offsets
     }
 
-    /// Hits, and the sum of their places in steps, counted from the tile's corner.
+    /// Hits, and the sum of their positions in steps, counted from the tile's corner.
     fn moments(tiles: &BTreeMap<TileId, Vec<CellHits>>) -> [i64; 3] {
         let mut sums = [0; 3];
         for (tile, cells) in tiles {

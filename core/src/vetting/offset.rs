@@ -8,26 +8,26 @@ const REACH_M: f64 = 40.0;
 /// A turn is not carried farther than this from the middle of the part that it was measured in, metres.
 const ARM_M: f64 = 60.0;
 
-/// What is to be added to an upload's places so that they lie on the map: an offset for each of its parts,
+/// What is to be added to an upload's positions so that they lie on the map: an offset for each of its parts,
 /// blended in between.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Offsets {
-    parts: Vec<Placed>,
+    parts: Vec<PartOffset>,
 }
 
-/// An offset around a place, and what it counts for beside others.
+/// An offset around a position, and its weight among others.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Placed {
+struct PartOffset {
     middle: [f64; 2],
     offset: Offset,
     weight: f64,
 }
 
 impl Offsets {
-    /// Adds an offset measured around a place (map metres); it turns about that place. `weight` is what it
-    /// counts for beside others.
+    /// Adds an offset measured around a position (map metres); it turns about that position. `weight` is its
+    /// weight among others.
     pub fn push(&mut self, middle: [f64; 2], offset: Offset, weight: f64) {
-        self.parts.push(Placed { middle, offset, weight });
+        self.parts.push(PartOffset { middle, offset, weight });
     }
 
     /// True when nothing was measured, and nothing moves.
@@ -42,7 +42,7 @@ impl Offsets {
         self.parts.len()
     }
 
-    /// The offset at a place, map metres: how it shifts what is there, and how it turns it. Continuous.
+    /// The offset at a position, map metres: how it shifts what is there, and how it turns it. Continuous.
     #[must_use]
     pub fn at(&self, [x, y]: [f64; 2]) -> Pose2 {
         weighted_mean(self.parts.iter().map(|part| {

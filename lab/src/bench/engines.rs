@@ -4,8 +4,8 @@ use std::hint::black_box;
 
 use anyhow::ensure;
 use echofix_core::align::engine::{self, Bounded, Fast, Fft, Reference};
-use echofix_core::align::view::MapView;
-use echofix_core::align::{Aligner, EngineKind, Task, thin};
+use echofix_core::align::pipeline::Pipeline;
+use echofix_core::align::{Aligner, EngineKind, Task};
 use serde::Serialize;
 
 use super::case::Case;
@@ -36,14 +36,14 @@ pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<
     let engines: [(Box<dyn engine::Engine>, usize); 5] = [
         (Box::new(Reference::default()), 1),
         (Box::new(Reference::as_printed()), 1),
-        (Box::new(Fft::default()), 1 + repetitions / 10),
+        (Box::new(Fft), 1 + repetitions / 10),
         (Box::new(Bounded::default()), repetitions),
         (Box::new(Fast::default()), repetitions),
     ];
     let mut measured: Vec<Engine> = Vec::new();
     let mut maxima = Vec::new();
-    for (mut engine, repetitions) in engines {
-        let (times, found) = search(cases, &mut *engine, repetitions);
+    for (engine, repetitions) in engines {
+        let (times, found) = search(cases, &*engine, repetitions);
         if maxima.is_empty() {
             maxima.clone_from(&found);
         }
@@ -75,32 +75,31 @@ fn push(measured: &mut Vec<Engine>, name: String, times: Vec<f64>, identical: Op
 /// Milliseconds of the search alone, and the maximum of each case.
 fn search(
     cases: &[Case],
-    engine: &mut dyn engine::Engine,
+    engine: &dyn engine::Engine,
     repetitions: usize,
 ) -> (Vec<f64>, Vec<echofix_core::pose::Pose2>) {
-    let (mut times, mut maxima, mut peaks) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut view, mut thinned) = (MapView::default(), Vec::new());
-    for case in cases {
-        view.show(case.frame, &case.tiles);
-        let reach_m = case.search.extent_m as f32;
-        thin::Thinner::default().thin(&case.batch.points, reach_m, thin::BLOCK_M, &mut thinned);
-        let question = case.question(&view, &case.batch, &thinned);
+    let (mut times, mut maxima) = (Vec::new(), Vec::new());
+    let mut pipeline = Pipeline::default();
+    for Case { square, tiles, batch, prior, search, .. } in cases {
+        pipeline.assemble(*square, tiles);
+        pipeline.thin(&batch.points, search.extent_m);
         // The first time fills buffers.
-        engine.search(&question, &mut peaks);
-        times.extend((0..repetitions).map(|_| timed(|| engine.search(&question, &mut peaks)).0));
-        maxima.extend(peaks.first().map(|peak| peak.correction));
+        let found = pipeline.search(engine, batch, prior, search);
+        maxima.extend(found.first().map(|top| top.correction));
+        let mut search = || pipeline.search(engine, batch, prior, search).len();
+        times.extend((0..repetitions).map(|_| timed(&mut search).0));
     }
     (times, maxima)
 }
 
-/// Milliseconds of search, climb and verdict.
+/// Milliseconds of search, refinement and verdict.
 fn whole(cases: &[Case], kind: EngineKind, repetitions: usize) -> Vec<f64> {
     let mut aligner = Aligner::default();
     let mut times = Vec::new();
-    for Case { frame, tiles, batch, prior, search, integrity } in cases {
-        let task = Task { frame: *frame, tiles, batch, prior };
+    for Case { square, tiles, batch, prior, search, integrity } in cases {
+        let task = Task { square: *square, tiles, batch, prior };
         let mut fix = || {
-            black_box(aligner.align(&task, kind, search, integrity));
+            black_box(aligner.align(&task, kind.engine(), search, integrity));
         };
         fix();
         times.extend((0..repetitions).map(|_| timed(&mut fix).0));

@@ -10,7 +10,7 @@ use echofix_core::align::Prior;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::batch::Batch;
 use echofix_core::geo::{Grid, LatLon, TileId};
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use echofix_proto::v1::LocalizeRequest;
 use echofix_server::args::{ServeArgs, key_and_value};
 use echofix_server::config::Config;
@@ -170,14 +170,15 @@ impl Scene {
             scale: grid.scale_factor(at)?,
         };
         let reach_m = search.sigmas * prior.sigma_position_m;
-        let frame = Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
+        let frame =
+            MapSquare::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
         let mut stored = BTreeMap::new();
         for id in frame.tiles() {
             stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));
         }
         let weighed = |id: &TileId| Arc::new(TileWeights::new(*id, |at| stored.get(&at).map(|t| &**t)));
         let tiles = stored.keys().map(weighed).collect();
-        Ok(Case { frame, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
+        Ok(Case { square: frame, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
     }
 }
 

@@ -33,7 +33,7 @@ pub struct Lost {
     pub trusted: usize,
     /// Answers that it trusts and that are not right.
     pub misled: usize,
-    /// Milliseconds of search, climb and verdict.
+    /// Milliseconds of search, refinement and verdict.
     pub fix_ms: Option<Percentiles>,
 }
 
@@ -96,9 +96,9 @@ fn asked(scene: &Scene, town: &Town, index: usize, rng: &mut ChaCha8Rng) -> anyh
     Ok(Asked { case: scene.case(&request)?, true_pose })
 }
 
-/// Milliseconds of map shown, search, climb and verdict, and what came of them.
+/// Milliseconds of map assembled, search, refinement and verdict, and what came of them.
 fn answer(case: &Case, aligner: &mut Aligner) -> (f64, Alignment) {
-    let Case { frame, tiles, batch, prior, search, integrity } = case;
-    let task = Task { frame: *frame, tiles, batch, prior };
-    timed(|| aligner.align(&task, EngineKind::Fast, search, integrity))
+    let Case { square, tiles, batch, prior, search, integrity } = case;
+    let task = Task { square: *square, tiles, batch, prior };
+    timed(|| aligner.align(&task, EngineKind::Fast.engine(), search, integrity))
 }

@@ -3,10 +3,8 @@
 use std::collections::HashSet;
 
 use anyhow::ensure;
-use echofix_core::align::Search;
-use echofix_core::align::engine::{Bounded, Engine, Fast, Fft};
-use echofix_core::align::thin::{BLOCK_M, Thinner};
-use echofix_core::align::view::MapView;
+use echofix_core::align::pipeline::Pipeline;
+use echofix_core::align::{EngineKind, Search};
 use echofix_core::batch::Batch;
 use echofix_core::geo::CELL_M;
 use echofix_proto::v1::LocalizeRequest;
@@ -62,25 +60,20 @@ fn widened(request: &LocalizeRequest, half_width_m: f64) -> LocalizeRequest {
 }
 
 fn size(cases: &[Case], half_width_m: f64, cells: usize, seed: u64) -> anyhow::Result<Size> {
-    let mut engines: [Box<dyn Engine>; 3] =
-        [Box::new(Fast::default()), Box::new(Bounded::default()), Box::new(Fft::default())];
-    let mut ms = engines.each_ref().map(|engine| (engine.name(), 0.0));
+    let engines = [EngineKind::Fast, EngineKind::Bounded, EngineKind::Fft].map(EngineKind::engine);
+    let mut ms = engines.map(|engine| (engine.name(), 0.0));
     let mut least = usize::MAX;
-    let (mut view, mut thinned, mut peaks) = (MapView::default(), Vec::new(), Vec::new());
-    let mut thinner = Thinner::default();
-    for case in cases {
-        let reach_m = case.search.extent_m as f32;
-        let (batch, occupied) = denser(&case.batch, cells, reach_m, seed)?;
+    let mut pipeline = Pipeline::default();
+    for Case { square, tiles, batch, prior, search, .. } in cases {
+        let (batch, occupied) = denser(batch, cells, search.extent_m as f32, seed)?;
         least = least.min(occupied);
-        view.show(case.frame, &case.tiles);
-        let mut thin = || thinner.thin(&batch.points, reach_m, BLOCK_M, &mut thinned);
+        pipeline.assemble(*square, tiles);
         // The first time fills buffers.
-        thin();
-        ms[0].1 += timed(&mut thin).0;
-        let question = case.question(&view, &batch, &thinned);
-        for (engine, (_, ms)) in engines.iter_mut().zip(&mut ms) {
-            engine.search(&question, &mut peaks);
-            *ms += timed(|| engine.search(&question, &mut peaks)).0;
+        pipeline.thin(&batch.points, search.extent_m);
+        ms[0].1 += timed(|| pipeline.thin(&batch.points, search.extent_m)).0;
+        for (engine, (_, ms)) in engines.into_iter().zip(&mut ms) {
+            pipeline.search(engine, &batch, prior, search);
+            *ms += timed(|| pipeline.search(engine, &batch, prior, search).len()).0;
         }
     }
     ensure!(!cases.is_empty(), "there is nothing to time");

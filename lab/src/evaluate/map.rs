@@ -12,7 +12,7 @@ use echofix_core::odometry::Trajectory;
 use echofix_core::scan::Scan;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::time::DAY_US;
-use echofix_core::window::{Frame, Window};
+use echofix_core::window::{EvidenceWindow, MapSquare};
 
 /// Reference poses farther apart than this are not interpolated between, microseconds.
 const MAX_POSE_GAP_US: i64 = 500_000;
@@ -113,8 +113,8 @@ impl RadarMap {
     }
 
     /// The map in a square.
-    pub fn window(&self, frame: Frame) -> Window {
-        Window::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    pub fn window(&self, frame: MapSquare) -> EvidenceWindow {
+        EvidenceWindow::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
     }
 
     /// One tile, where there is one.

@@ -5,19 +5,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use echofix_core::align::Prior;
-use echofix_core::align::climb::DriftPrior;
-use echofix_core::align::engine::{Bounded, Engine as _, Peak, Question};
+use echofix_core::align::drift::DriftPrior;
 use echofix_core::align::fft::Plans;
 use echofix_core::align::image::MapImage;
+use echofix_core::align::pipeline::Pipeline;
 use echofix_core::align::verdict::{Integrity, Verdict};
-use echofix_core::align::view::MapView;
 use echofix_core::align::weights::TileWeights;
-use echofix_core::align::{Aligner, EngineKind, Lattice, Search, Task, Workspace, fast_global_align};
+use echofix_core::align::{Aligner, CorrelationWorkspace, EngineKind, Search, Task, fast_global_align};
 use echofix_core::batch::Batch;
 use echofix_core::evidence::InverseSensorModel;
 use echofix_core::geo::TileId;
 use echofix_core::pose::Pose2;
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use echofix_server::locating::verdict_word;
 use moka::policy::EvictionPolicy;
 use moka::sync::Cache;
@@ -130,12 +129,7 @@ impl Name {
         match self {
             Self::Paper => Box::new(Paper::new(self, windows, Movers::Kept)),
             Self::Gated => Box::new(Paper::new(self, windows, Movers::Dropped)),
-            Self::Weights => Box::new(Highest {
-                windows,
-                view: MapView::default(),
-                engine: Bounded::default(),
-                peaks: Vec::new(),
-            }),
+            Self::Weights => Box::new(Highest { windows, pipeline: Pipeline::default() }),
             Self::Echofix => Box::new(Echofix::new(self, windows)),
             Self::Exact => Box::new(Echofix { engine: EngineKind::Bounded, ..Echofix::new(self, windows) }),
             Self::Rigid => {
@@ -150,7 +144,7 @@ impl Name {
 
 /// Prepared maps, the least recently used forgotten.
 pub struct Windows {
-    images: Cache<(MapKey, Frame), Arc<MapImage>>,
+    images: Cache<(MapKey, MapSquare), Arc<MapImage>>,
     tiles: Cache<(MapKey, TileId), Arc<TileWeights>>,
     plans: Mutex<BTreeMap<usize, Arc<Plans>>>,
     search: Search,
@@ -172,20 +166,20 @@ impl Windows {
         Arc::new(Self { images, tiles, plans: Mutex::default(), search: Search::default() })
     }
 
-    fn frame(&self, map: &RadarMap, prior: &Prior) -> Frame {
+    fn frame(&self, map: &RadarMap, prior: &Prior) -> MapSquare {
         let search_m = self.search.sigmas * prior.sigma_position_m;
-        Frame::around(map.zone(), [prior.pose.x_m, prior.pose.y_m], self.search.extent_m, search_m)
+        MapSquare::around(map.zone(), [prior.pose.x_m, prior.pose.y_m], self.search.extent_m, search_m)
     }
 
     /// The paper's occupancy grid around a prior, transformed.
-    fn occupancy(&self, map: &RadarMap, frame: Frame) -> Arc<MapImage> {
+    fn occupancy(&self, map: &RadarMap, frame: MapSquare) -> Arc<MapImage> {
         let model = InverseSensorModel::default();
         let prepare = || Arc::new(MapImage::of_evidence(&map.window(frame), &model, self.plans(frame.side)));
         self.images.get_with((map.key, frame), prepare)
     }
 
     /// The weights of the tiles of a square.
-    pub fn weights(&self, map: &RadarMap, frame: Frame) -> Vec<Arc<TileWeights>> {
+    pub fn weights(&self, map: &RadarMap, frame: MapSquare) -> Vec<Arc<TileWeights>> {
         let known = frame.tiles().filter(|id| map.tile(*id).is_some());
         let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
         known.map(|id| self.tiles.get_with((map.key, id), || prepare(id))).collect()
@@ -202,13 +196,13 @@ impl Windows {
 struct Paper {
     name: Name,
     windows: Arc<Windows>,
-    workspace: Workspace,
+    workspace: CorrelationWorkspace,
     movers: Movers,
 }
 
 impl Paper {
     fn new(name: Name, windows: Arc<Windows>, movers: Movers) -> Self {
-        Self { name, windows, workspace: Workspace::default(), movers }
+        Self { name, windows, workspace: CorrelationWorkspace::default(), movers }
     }
 }
 
@@ -225,9 +219,7 @@ impl Method for Paper {
         let search = self.windows.search;
         let image = self.windows.occupancy(map, self.windows.frame(map, prior));
         let began = Instant::now();
-        let lattice = Lattice::of(prior, &search);
-        let correlation = fast_global_align(&image, batch, prior, &search, &lattice, &mut self.workspace);
-        let best = lattice.hypothesis(correlation.argmax());
+        let (pose, correlation) = fast_global_align(&image, batch, prior, &search, &mut self.workspace);
         let elapsed = began.elapsed();
         let second = match correlation.highest(2, search.separation_m)[..] {
             [first, second] if correlation.values[first] > 0.0 => {
@@ -235,16 +227,14 @@ impl Method for Paper {
             }
             _ => 0.0,
         };
-        Outcome { second, elapsed, ..Outcome::unjudged(prior.corrected(&best)) }
+        Outcome { second, elapsed, ..Outcome::unjudged(pose) }
     }
 }
 
 /// The hypothesis of the highest sum of log weights, as it is.
 struct Highest {
     windows: Arc<Windows>,
-    view: MapView,
-    engine: Bounded,
-    peaks: Vec<Peak>,
+    pipeline: Pipeline,
 }
 
 impl Method for Highest {
@@ -259,14 +249,13 @@ impl Method for Highest {
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
         let search = self.windows.search;
         let frame = self.windows.frame(map, prior);
-        self.view.show(frame, &self.windows.weights(map, frame));
+        self.pipeline.assemble(frame, &self.windows.weights(map, frame));
         let began = Instant::now();
-        let lattice = Lattice::of(prior, &search);
-        let question = Question { view: &self.view, batch, thinned: &[], prior, search: &search, lattice };
-        self.engine.search(&question, &mut self.peaks);
+        // Points are not thinned: the exact engine counts the batch's cells.
+        let found = self.pipeline.search(EngineKind::Bounded.engine(), batch, prior, &search);
         let elapsed = began.elapsed();
-        let score = |rank: usize| self.peaks.get(rank).map_or(0.0, |peak| f64::from(peak.score));
-        let best = self.peaks.first().map_or(Pose2::IDENTITY, |peak| peak.correction);
+        let score = |rank: usize| found.get(rank).map_or(0.0, |candidate| candidate.score);
+        let best = found.first().map_or(Pose2::IDENTITY, |candidate| candidate.correction);
         let second = if score(0) > 0.0 { score(1) / score(0) } else { 0.0 };
         Outcome { second, elapsed, ..Outcome::unjudged(prior.corrected(&best)) }
     }
@@ -304,8 +293,8 @@ impl Method for Echofix {
         let frame = self.windows.frame(map, prior);
         let tiles = self.windows.weights(map, frame);
         let began = Instant::now();
-        let task = Task { frame, tiles: &tiles, batch, prior };
-        let answer = self.aligner.align(&task, self.engine, &self.search, &integrity);
+        let task = Task { square: frame, tiles: &tiles, batch, prior };
+        let answer = self.aligner.align(&task, self.engine.engine(), &self.search, &integrity);
         let elapsed = began.elapsed();
         let levels = answer.protection(&integrity, RISK);
         let finite = answer.covariance.iter().flatten().all(|v| v.is_finite());

@@ -10,7 +10,7 @@ use axum::response::{IntoResponse, Response};
 use echofix_core::datum::Offset;
 use echofix_core::geo::{Grid, Zone};
 use echofix_core::vetting::Reason;
-use echofix_core::vetting::alarm::{Alarm, AlarmLimits, Kind, alarms};
+use echofix_core::vetting::alarm::{Alarm, AlarmKind, AlarmLimits, alarms};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use uuid::Uuid;
@@ -102,8 +102,8 @@ fn quarantined(quarantined: &QuarantinedRecord) -> Value {
 
 fn alarm(alarm: &Alarm) -> Value {
     let (kind, by) = match &alarm.kind {
-        Kind::Shift(by) => ("SHIFT", Some(offset(by))),
-        Kind::Changed => ("CHANGED", None),
+        AlarmKind::Shift(by) => ("SHIFT", Some(offset(by))),
+        AlarmKind::Changed => ("CHANGED", None),
     };
     json!({
         "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),

@@ -9,7 +9,7 @@ use echofix_core::align::Search;
 use echofix_core::align::localizability::{Assessor, Expected, Localizability, REACH_M};
 use echofix_core::align::verdict::Integrity;
 use echofix_core::geo::{CELLS_PER_TILE, TILE_M, TileId};
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use moka::sync::Cache;
 
 use super::prepared_tiles::PreparedTiles;
@@ -124,9 +124,9 @@ impl Expectations {
 }
 
 /// A tile and its neighbours.
-fn square(id: TileId) -> Frame {
+fn square(id: TileId) -> MapSquare {
     let south_west = TileId { x: id.x - 1, y: id.y - 1, ..id };
-    Frame { zone: id.zone, origin: south_west.first_cell(), side: 3 * CELLS_PER_TILE }
+    MapSquare { zone: id.zone, origin: south_west.first_cell(), side: 3 * CELLS_PER_TILE }
 }
 
 fn near(a: TileId, b: TileId) -> bool {

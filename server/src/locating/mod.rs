@@ -17,7 +17,7 @@ use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::pose::Pose2;
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
 
 use crate::store::{self, MapStore};
@@ -244,9 +244,9 @@ impl Locator {
         let placed = self.placed_prior(request)?;
         let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
-            Task { frame: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
+            Task { square: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let again = admitted.slot.aligner().align(&task, EngineKind::Fft, &search, &integrity);
+        let again = admitted.slot.aligner().align(&task, EngineKind::Fft.engine(), &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 
@@ -288,8 +288,9 @@ impl Locator {
         let window = fetching.elapsed();
         let aligning = Instant::now();
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &prior };
-        let mut alignment = aligner.align(&task, self.config.engine.into(), &search, &integrity);
+        let task = Task { square: frame, tiles: &found.tiles, batch: &request.batch, prior: &prior };
+        let engine = EngineKind::from(self.config.engine).engine();
+        let mut alignment = aligner.align(&task, engine, &search, &integrity);
         let correction = alignment.correction;
         let wide = self.relocalize(request, &grid, &prior, &alignment, aligner)?;
         let relocalized = wide.is_some();
@@ -331,10 +332,10 @@ impl Locator {
         Ok(PlacedPrior { grid, prior, frame })
     }
 
-    fn frame(&self, grid: &Grid, prior: &Prior) -> Frame {
+    fn frame(&self, grid: &Grid, prior: &Prior) -> MapSquare {
         let search = self.config.search();
         let reach_m = search.sigmas * prior.sigma_position_m;
-        Frame::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
+        MapSquare::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
     }
 
     /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search
@@ -363,8 +364,8 @@ impl Locator {
         };
         let frame = self.frame(grid, &wide);
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
-        let task = Task { frame, tiles: &found.tiles, batch: &request.batch, prior: &wide };
-        let mut elsewhere = aligner.align(&task, EngineKind::Fast, &search, &integrity);
+        let task = Task { square: frame, tiles: &found.tiles, batch: &request.batch, prior: &wide };
+        let mut elsewhere = aligner.align(&task, EngineKind::Fast.engine(), &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {
             elsewhere.verdict = Verdict::PriorOutsideSearch;
         }
@@ -376,7 +377,7 @@ impl Locator {
 struct PlacedPrior {
     grid: Grid,
     prior: Prior,
-    frame: Frame,
+    frame: MapSquare,
 }
 
 /// Two engines agree when their answers lie this near, metres.
@@ -406,7 +407,7 @@ fn too_few(batch: &Batch, least: usize) -> LocateRefusal {
     }
 }
 
-fn no_map(frame: Frame, at: LatLon) -> LocateRefusal {
+fn no_map(frame: MapSquare, at: LatLon) -> LocateRefusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
     LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
 }

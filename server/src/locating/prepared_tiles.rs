@@ -7,7 +7,7 @@ use std::sync::Arc;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::geo::TileId;
 use echofix_core::tile::Tile;
-use echofix_core::window::Frame;
+use echofix_core::window::MapSquare;
 use moka::sync::Cache;
 
 use crate::store::{Error, MapStore, TileInfo};
@@ -45,7 +45,7 @@ impl PreparedTiles {
     }
 
     /// The tiles of a map window; none where nothing is served. Blocks.
-    pub(super) fn get(&self, store: &dyn MapStore, frame: Frame) -> Result<WindowTiles, Arc<Error>> {
+    pub(super) fn get(&self, store: &dyn MapStore, frame: MapSquare) -> Result<WindowTiles, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
         for tile in frame.tiles() {

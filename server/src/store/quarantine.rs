@@ -10,7 +10,7 @@ use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
 use echofix_core::varint::{VarintReader, VarintWriter};
 use echofix_core::vetting::Reason;
-use echofix_core::vetting::alarm::Quarantined as QuarantinedUpload;
+use echofix_core::vetting::alarm::QuarantinedUpload;
 
 use super::checksum::{SUM, seal, sealed};
 use super::vetting::QuarantinedRecord;

@@ -8,8 +8,10 @@ use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::{Datum, Offset};
 use echofix_core::evidence::{EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TILE_M, TileId, Zone};
-use echofix_core::vetting::alarm::Quarantined as QuarantinedUpload;
-use echofix_core::vetting::{Limits, MapSide, Offsets, Reason, Vetted, Vetter, moved_shares, told_by_others};
+use echofix_core::vetting::alarm::QuarantinedUpload;
+use echofix_core::vetting::{
+    Limits, MapSide, Offsets, Reason, Vetted, Vetter, has_other_contributors, moved_evidence,
+};
 
 use super::write_buffer::{Folded, WriteBuffer};
 use super::{Error, UploadRecord};
@@ -59,7 +61,7 @@ impl Vetting {
     ) -> Result<VettingOutcome, Error> {
         let zones = by_zone(&upload.contribution);
         let Some(limits) = self.limits else {
-            let as_it_came = zones.values().flat_map(|shares| moved_shares(shares, &Offsets::default()));
+            let as_it_came = zones.values().flat_map(|shares| moved_evidence(shares, &Offsets::default()));
             return Ok(VettingOutcome::Counts(as_it_came.collect()));
         };
         let mut counts = Vec::new();
@@ -76,7 +78,7 @@ impl Vetting {
             }
             match vetted {
                 Vetted::Agrees(offsets) | Vetted::New(offsets) => {
-                    counts.extend(moved_shares(&shares, &offsets));
+                    counts.extend(moved_evidence(&shares, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
                     let (place, day) = (middle(&shares), upload.pass.day);
@@ -139,7 +141,7 @@ impl MapSide for OthersMap<'_, '_> {
 impl OthersMapState<'_, '_> {
     fn weights(&mut self, id: TileId, contributor: u64) -> Result<Option<Arc<TileWeights>>, Error> {
         let Folded { tile, ledger, .. } = self.buffer.get(id)?;
-        if !told_by_others(tile, ledger, contributor) {
+        if !has_other_contributors(tile, ledger, contributor) {
             return Ok(None);
         }
         let near = id.with_neighbours();

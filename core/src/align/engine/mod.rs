@@ -1,8 +1,10 @@
 //! Engines: ways to find the maximum of the correlation.
 //!
-//! All are asked the same [`Question`]. The exact ones maximise the same discretised correlation, the
-//! sum of the map's weights below the batch's occupied cells, and so find the same maximum; of equal
-//! sums the first in the lattice's order.
+//! An [`Engine`] is a value without state. It answers many [`SearchQuestion`]s at once, so that one that
+//! works in batches can be handed in like those below; its buffers live in an [`EngineWorkspace`].
+//!
+//! The exact ones maximise the same discretised correlation, the sum of the map's weights below the
+//! batch's occupied cells, and so find the same maximum; of equal sums the first in the lattice's order.
 //!
 //! - [`Fast`]: coarse to fine, what the service asks; not exact, see its measured miss rate.
 //! - [`Bounded`]: exact, by bounds that rule out all but a few shifts.
@@ -12,82 +14,78 @@
 mod bounded;
 mod fast;
 mod fft;
+mod question;
 mod reference;
+mod workspace;
 
 pub use bounded::Bounded;
 pub use fast::Fast;
 pub use fft::Fft;
+pub use question::SearchQuestion;
 pub use reference::Reference;
+pub use workspace::EngineWorkspace;
 
-use super::cells::{Once, Placing};
-use super::correlation::Lattice;
-use super::simd::Isa;
-use super::view::{MapView, Shown};
-use super::{Prior, Search};
-use crate::batch::Batch;
 use crate::pose::Pose2;
 
-/// A hill of the correlation.
+/// A local maximum of the correlation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Peak {
+pub struct Candidate {
     /// The hypothesis: metres east and north of the prior, radians.
     pub correction: Pose2,
-    /// Its sum of weights; comparable within one answer only.
-    pub score: u32,
+    /// Mean weight of the points that the engine counted, in units of the logarithm: the batch's occupied
+    /// cells, or a part of its thinned points. The divisor is the same for every hypothesis, so that scores
+    /// are in the order of the correlation.
+    pub score: f64,
     /// True when it lies on the edge of the search.
     pub at_edge: bool,
 }
 
-/// What an engine is asked.
-#[derive(Clone, Copy)]
-pub struct Question<'a> {
-    /// The map.
-    pub view: &'a MapView,
-    /// The batch.
-    pub batch: &'a Batch,
-    /// The batch, thinned (see [`crate::align::thin`]): ground metres in the body's frame, and what a
-    /// point counts for.
-    pub thinned: &'a [[f32; 3]],
-    /// Where it is believed to be.
-    pub prior: &'a Prior,
-    /// How to search.
-    pub search: &'a Search,
-    /// The hypotheses.
-    pub lattice: Lattice,
-}
-
-/// A way to find the maximum of the correlation, with its buffers.
-pub trait Engine: Send {
+/// A way to find the maximum of the correlation.
+pub trait Engine: Send + Sync {
     /// Its name in tables and configuration.
     fn name(&self) -> &'static str;
 
-    /// Writes the highest hills, best first: at least one, at most the search's number of them.
-    fn search(&mut self, question: &Question, peaks: &mut Vec<Peak>);
+    /// Writes the highest candidates of each question, best first: at most the search's number of them.
+    /// There are as many lists as questions; what they held is overwritten.
+    fn search_all(
+        &self,
+        questions: &[SearchQuestion<'_>],
+        workspace: &mut EngineWorkspace,
+        candidates: &mut [Vec<Candidate>],
+    );
+
+    /// The same for one question.
+    fn search(
+        &self,
+        question: &SearchQuestion<'_>,
+        workspace: &mut EngineWorkspace,
+        candidates: &mut Vec<Candidate>,
+    ) {
+        self.search_all(std::slice::from_ref(question), workspace, std::slice::from_mut(candidates));
+    }
 }
 
-impl Question<'_> {
-    /// The occupied cells of the batch under a heading: indices in the fine image, moved by the lag.
-    fn occupied(&self, isa: Isa, heading: usize, once: &mut Once, out: &mut Vec<u32>) {
-        let at = Pose2::new(0.0, 0.0, self.lattice.turn_rad(heading));
-        let placing = self.placing(self.view.fine(), self.lattice.lag);
-        placing.places(isa, at, self.batch.points.iter().copied(), out);
-        once.retain(out);
-    }
+/// The engines that configuration can name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum EngineKind {
+    /// Coarse to fine.
+    #[default]
+    Fast,
+    /// Exact, by bounds.
+    Bounded,
+    /// Exact, every hypothesis.
+    Fft,
+}
 
-    /// Of its points on one of the view's images.
-    fn placing<'b>(&'b self, image: Shown<'b>, lag: usize) -> Placing<'b> {
-        Placing { image, prior: self.prior, reach_m: self.search.extent_m, lag }
-    }
-
-    /// The sum of weights below cells that are shifted to a row and a column of the lattice.
-    fn sum(&self, occupied: &[u32], row: usize, column: usize) -> u32 {
-        let shown = self.view.fine();
-        let shift = row * shown.side + column;
-        occupied.iter().map(|place| u32::from(shown.image[*place as usize + shift])).sum()
-    }
-
-    fn peak(&self, index: usize, score: u32) -> Peak {
-        Peak { correction: self.lattice.hypothesis(index), score, at_edge: self.lattice.is_at_edge(index) }
+impl EngineKind {
+    /// The engine, on the fastest instruction set of this processor.
+    #[must_use]
+    pub fn engine(self) -> &'static dyn Engine {
+        match self {
+            Self::Fast => &Fast::BEST,
+            Self::Bounded => &Bounded::BEST,
+            Self::Fft => &Fft,
+        }
     }
 }
 

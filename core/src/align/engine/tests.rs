@@ -8,15 +8,18 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::align::simd::Isa;
 use crate::align::thin::Thinner;
+use crate::align::view::MapView;
 use crate::align::weights::TileWeights;
+use crate::align::{Prior, Search};
+use crate::batch::Batch;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CellIndex, TileId, Zone};
 use crate::tile::Tile;
-use crate::window::Frame;
+use crate::window::MapSquare;
 
 const EXTENT_M: f64 = 6.0;
 
-/// A small random scene: walls, posts and clutter; a batch that saw some of it, and some that is gone.
+/// A small random scene: walls, posts and clutter; a batch that saw a part of it.
 struct Scene {
     view: MapView,
     batch: Batch,
@@ -29,7 +32,7 @@ impl Scene {
     fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let zone = Zone::from_epsg(32614).unwrap();
-        // Near a corner of a tile, so that several tiles are shown.
+        // Near a corner of a tile, so that several tiles are assembled.
         let truth = Pose2::new(
             TileId::of(zone, [600_020.0, 3_300_020.0]).origin()[0] + rng.random_range(-3.0..3.0),
             TileId::of(zone, [600_020.0, 3_300_020.0]).origin()[1] + rng.random_range(-3.0..3.0),
@@ -48,9 +51,9 @@ impl Scene {
             scale: 0.9997,
         };
         let search = Search { extent_m: EXTENT_M, ..Search::default() };
-        let frame = Frame::around(zone, [prior.pose.x_m, prior.pose.y_m], EXTENT_M, 0.9);
+        let square = MapSquare::around(zone, [prior.pose.x_m, prior.pose.y_m], EXTENT_M, 0.9);
         let mut view = MapView::default();
-        view.show(frame, &weights(&frame, &on_map));
+        view.assemble(square, &weights(&square, &on_map));
         let seen = structure.iter().filter(|_| rng.random_bool(0.7)).copied().collect::<Vec<_>>();
         let noisy = seen.iter().map(|p| p.map(|v| (v + rng.random_range(-0.15..0.15)) as f32));
         let points: Vec<[f32; 2]> = noisy.collect();
@@ -59,15 +62,8 @@ impl Scene {
         Self { view, batch: Batch { points, ..Batch::default() }, thinned, prior, search }
     }
 
-    fn question(&self) -> Question<'_> {
-        Question {
-            view: &self.view,
-            batch: &self.batch,
-            thinned: &self.thinned,
-            prior: &self.prior,
-            search: &self.search,
-            lattice: Lattice::of(&self.prior, &self.search),
-        }
+    fn question(&self) -> SearchQuestion<'_> {
+        SearchQuestion::new(&self.view, &self.batch, &self.thinned, &self.prior, &self.search)
     }
 }
 
@@ -86,12 +82,12 @@ fn structure(rng: &mut ChaCha8Rng) -> Vec<[f64; 2]> {
     points
 }
 
-fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
+fn weights(square: &MapSquare, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
     let tile = |id: TileId| {
         let mut cells = std::collections::BTreeMap::<u32, Cell>::new();
-        for point in points.iter().filter(|p| TileId::of(frame.zone, **p) == id) {
+        for point in points.iter().filter(|p| TileId::of(square.zone, **p) == id) {
             let cell = CellIndex::of(*point);
-            let entry = cells.entry(TileId::locate(frame.zone, cell).1).or_default();
+            let entry = cells.entry(TileId::locate(square.zone, cell).1).or_default();
             entry.hits += 1;
             entry.passes = 1;
             entry.presence = crate::evidence::presence::ALWAYS;
@@ -101,52 +97,80 @@ fn weights(frame: &Frame, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
         }
         Tile::from_cells(cells.into_iter().collect()).unwrap()
     };
-    let tiles: Vec<_> = frame.tiles().map(|id| (id, tile(id))).collect();
+    let tiles: Vec<_> = square.tiles().map(|id| (id, tile(id))).collect();
     let find = |id| tiles.iter().find(|(at, _)| *at == id).map(|(_, tile)| tile);
     tiles.iter().map(|(id, _)| Arc::new(TileWeights::new(*id, find))).collect()
 }
 
-fn top(engine: &mut dyn Engine, scene: &Scene) -> (u32, Pose2) {
-    let mut peaks = Vec::new();
-    engine.search(&scene.question(), &mut peaks);
-    (peaks[0].score, peaks[0].correction)
+fn top(engine: &dyn Engine, workspace: &mut EngineWorkspace, scene: &Scene) -> (f64, Pose2) {
+    let mut candidates = Vec::new();
+    engine.search(&scene.question(), workspace, &mut candidates);
+    (candidates[0].score, candidates[0].correction)
 }
 
+/// Catches a bound that is one too low, a transform that is too coarse, and scores in another unit.
 #[test]
 fn exact_engines_find_the_maximum_of_the_reference() {
-    let (mut reference, mut fft, mut bounded) = (Reference::default(), Fft::default(), Bounded::default());
+    let workspace = &mut EngineWorkspace::default();
     for seed in 0..1000 {
         let scene = Scene::new(seed);
-        let expected = top(&mut reference, &scene);
-        assert_eq!(top(&mut fft, &scene), expected, "fft, seed {seed}");
-        assert_eq!(top(&mut bounded, &scene), expected, "bounded, seed {seed}");
+        let expected = top(&Reference::default(), workspace, &scene);
+        assert_eq!(top(&Fft, workspace, &scene), expected, "fft, seed {seed}");
+        assert_eq!(top(&Bounded::BEST, workspace, &scene), expected, "bounded, seed {seed}");
     }
 }
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
+    let workspace = &mut EngineWorkspace::default();
     for seed in 2000..2100 {
         let scene = Scene::new(seed);
-        let answers: Vec<_> = Isa::available()
-            .into_iter()
-            .map(|isa| {
-                let mut peaks = Vec::new();
-                Fast::on(isa).search(&scene.question(), &mut peaks);
-                (peaks, top(&mut Bounded::on(isa), &scene))
-            })
-            .collect();
+        let mut answer = |isa| {
+            let mut candidates = Vec::new();
+            Fast::on(isa).search(&scene.question(), workspace, &mut candidates);
+            (candidates, top(&Bounded::on(isa), workspace, &scene))
+        };
+        let answers: Vec<_> = Isa::available().into_iter().map(&mut answer).collect();
         assert!(answers.iter().all(|a| *a == answers[0]), "seed {seed}: {answers:?}");
+    }
+}
+
+/// Catches an engine that answers the first of several questions only, or mixes their buffers up.
+#[test]
+fn many_questions_at_once_are_answered_like_one_after_the_other() {
+    let scenes: Vec<_> = (3000..3004).map(Scene::new).collect();
+    let questions: Vec<_> = scenes.iter().map(Scene::question).collect();
+    let engines: [&dyn Engine; 4] = [&Fast::BEST, &Bounded::BEST, &Fft, &Reference::default()];
+    for engine in engines {
+        let mut together = vec![Vec::new(); questions.len()];
+        engine.search_all(&questions, &mut EngineWorkspace::default(), &mut together);
+        for (question, together) in questions.iter().zip(&together) {
+            let mut alone = Vec::new();
+            engine.search(question, &mut EngineWorkspace::default(), &mut alone);
+            assert!(!alone.is_empty() && alone == *together, "{}", engine.name());
+        }
+    }
+}
+
+/// Catches a score that is a sum: `fast` counts a part of the points, and its sums would be smaller by as much.
+#[test]
+fn scores_of_all_engines_are_in_one_unit() {
+    let workspace = &mut EngineWorkspace::default();
+    for seed in 0..50 {
+        let scene = Scene::new(seed);
+        let ((exact, at), (fast, near)) = (top(&Fft, workspace, &scene), top(&Fast::BEST, workspace, &scene));
+        assert!(at != near || (0.6..1.7).contains(&(fast / exact)), "seed {seed}: {fast} {exact}");
     }
 }
 
 #[test]
 fn the_papers_turned_spectrum_comes_near_the_maximum() {
-    let (mut reference, mut paper) = (Reference::default(), Reference::as_printed());
+    let workspace = &mut EngineWorkspace::default();
     let mut near = 0;
     for seed in 0..40 {
         let scene = Scene::new(seed);
-        let (_, exact) = top(&mut reference, &scene);
-        let (_, shortcut) = top(&mut paper, &scene);
+        let (_, exact) = top(&Reference::default(), workspace, &scene);
+        let (_, shortcut) = top(&Reference::as_printed(), workspace, &scene);
         near += u32::from(exact.distance_m(&shortcut) < 0.35);
     }
     assert!(near >= 28, "{near} of 40 within 35 cm");

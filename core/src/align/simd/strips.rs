@@ -1,4 +1,4 @@
-//! The inner loop of counting correlation: for many places of an image at once, sums over shifts.
+//! The inner loop of counting correlation: for many pixels of an image at once, sums over shifts.
 //!
 //! A point of the batch adds, for every shift, the image's value below it. Shifts along a row of
 //! the image are neighbours in memory, so a row of shifts is one strip of bytes, added as a vector.
@@ -8,7 +8,7 @@ use super::{Isa, Kernel};
 /// Rows that are summed together, so that their sums stay in registers.
 const ROWS: usize = 4;
 /// Points that a 16-bit sum of bytes can take without overflow.
-const BLOCK: usize = 257;
+const CHUNK: usize = 257;
 
 /// A grid of shifts over an image of bytes, `WIDTH` to a row.
 #[derive(Debug, Clone, Copy)]
@@ -22,39 +22,39 @@ pub struct Strips<'a, const WIDTH: usize> {
 }
 
 impl<const WIDTH: usize> Strips<'_, WIDTH> {
-    /// True when the strips of a place lie inside the image.
+    /// True when the strips of a pixel lie inside the image.
     #[must_use]
-    pub fn fits(&self, place: usize) -> bool {
+    pub fn fits(&self, pixel: usize) -> bool {
         // What overflows fits nowhere: the reads below rest on this.
         let rows = self.rows.saturating_sub(1).checked_mul(self.stride);
-        let end = rows.and_then(|rows| rows.checked_add(place)?.checked_add(WIDTH));
+        let end = rows.and_then(|rows| rows.checked_add(pixel)?.checked_add(WIDTH));
         end.is_some_and(|end| end <= self.image.len())
     }
 
-    /// Adds to `sums[row][column]` the bytes at `place + row * stride + column` of every place.
+    /// Adds to `sums[row][column]` the bytes at `pixel + row * stride + column` of every pixel.
     ///
     /// `sums` holds `rows` strips.
     ///
     /// # Panics
-    /// When a place does not fit.
-    pub fn add(&self, isa: Isa, places: &[u32], sums: &mut [[u32; WIDTH]]) {
-        assert!(places.iter().max().is_none_or(|last| self.fits(*last as usize)), "places fit the image");
-        for block in places.chunks(BLOCK) {
-            isa.run(Block { strips: self, places: block, sums: &mut sums[..self.rows] });
+    /// When a pixel does not fit.
+    pub fn add(&self, isa: Isa, pixels: &[u32], sums: &mut [[u32; WIDTH]]) {
+        assert!(pixels.iter().max().is_none_or(|last| self.fits(*last as usize)), "pixels fit the image");
+        for chunk in pixels.chunks(CHUNK) {
+            isa.run(PixelChunk { strips: self, pixels: chunk, sums: &mut sums[..self.rows] });
         }
     }
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
-    fn add_rows<const N: usize>(&self, places: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
+    fn add_rows<const N: usize>(&self, pixels: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
         let mut short = [[0_u16; WIDTH]; N];
-        for place in places {
-            let from = *place as usize + first * self.stride;
+        for pixel in pixels {
+            let from = *pixel as usize + first * self.stride;
             for (row, short) in short.iter_mut().enumerate() {
                 let from = from + row * self.stride;
                 #[cfg(test)]
                 assert!(from + WIDTH <= self.image.len());
-                // SAFETY: `add` found that every place fits, so that the strips of all its rows end
+                // SAFETY: `add` found that every pixel fits, so that the strips of all its rows end
                 // inside the image; an array of bytes has no alignment.
                 let strip = unsafe { self.image.as_ptr().add(from).cast::<[u8; WIDTH]>().read() };
                 *short = added(*short, strip);
@@ -68,14 +68,14 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
     }
 }
 
-/// At most [`BLOCK`] places to be added.
-struct Block<'a, const WIDTH: usize> {
+/// At most [`CHUNK`] pixels to be added.
+struct PixelChunk<'a, const WIDTH: usize> {
     strips: &'a Strips<'a, WIDTH>,
-    places: &'a [u32],
+    pixels: &'a [u32],
     sums: &'a mut [[u32; WIDTH]],
 }
 
-impl<const WIDTH: usize> Kernel for Block<'_, WIDTH> {
+impl<const WIDTH: usize> Kernel for PixelChunk<'_, WIDTH> {
     type Out = ();
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
@@ -84,11 +84,11 @@ impl<const WIDTH: usize> Kernel for Block<'_, WIDTH> {
         let mut groups = self.sums.chunks_exact_mut(ROWS);
         let mut first = 0;
         for group in &mut groups {
-            self.strips.add_rows::<ROWS>(self.places, first, group);
+            self.strips.add_rows::<ROWS>(self.pixels, first, group);
             first += ROWS;
         }
         for row in groups.into_remainder().chunks_exact_mut(1) {
-            self.strips.add_rows::<1>(self.places, first, row);
+            self.strips.add_rows::<1>(self.pixels, first, row);
             first += 1;
         }
     }
@@ -107,7 +107,7 @@ fn added<const WIDTH: usize>(mut sums: [u16; WIDTH], strip: [u8; WIDTH]) -> [u16
 mod tests {
     use super::*;
 
-    /// Miri takes some ten thousand times as long; fewer places than a block holds would miss its seam.
+    /// Miri takes some ten thousand times as long; fewer pixels than a chunk holds would miss its seam.
     const SEEDS: u64 = if cfg!(miri) { 2 } else { 200 };
 
     /// Numbers without a library, for Miri reads all of it.
@@ -116,7 +116,7 @@ mod tests {
         (*state >> 33) as usize
     }
 
-    /// Strips of a random image that end with it, and places of which one is the last that fits.
+    /// Strips of a random image that end with it, and pixels of which one is the last that fits.
     fn every_set_sums_like_the_definition<const WIDTH: usize>(seed: u64) {
         let state = &mut { seed };
         let (stride, rows) = (WIDTH + random(state) % 9, 1 + random(state) % 11);
@@ -125,17 +125,17 @@ mod tests {
         // The largest bytes are those that overflow.
         let byte = |_| if seed.is_multiple_of(4) { 255 } else { random(state) as u8 };
         let image: Box<[u8]> = (0..last + (rows - 1) * stride + WIDTH).map(byte).collect();
-        let mut places: Vec<u32> = (0..600).map(|_| (random(state) % (last + 1)) as u32).collect();
-        places[random(state) % 600] = last as u32;
+        let mut pixels: Vec<u32> = (0..600).map(|_| (random(state) % (last + 1)) as u32).collect();
+        pixels[random(state) % 600] = last as u32;
         let strips = Strips::<WIDTH> { image: &image, stride, rows };
         assert!(strips.fits(last) && !strips.fits(last + 1));
         let at = |row: usize, column: usize| {
-            let values = places.iter().map(|place| image[*place as usize + row * stride + column]);
+            let values = pixels.iter().map(|pixel| image[*pixel as usize + row * stride + column]);
             7 + values.map(u32::from).sum::<u32>()
         };
         for isa in Isa::available() {
             let mut sums = vec![[7_u32; WIDTH]; rows + 1];
-            strips.add(isa, &places, &mut sums);
+            strips.add(isa, &pixels, &mut sums);
             for (row, sums) in sums[..rows].iter().enumerate() {
                 assert_eq!(*sums, std::array::from_fn(|column| at(row, column)), "{isa:?}, seed {seed}");
             }
@@ -161,8 +161,8 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "places fit the image")]
-    fn a_place_that_does_not_fit_is_not_read() {
+    #[should_panic(expected = "pixels fit the image")]
+    fn a_pixel_that_does_not_fit_is_not_read() {
         let strips = Strips::<16> { image: &[0; 64], stride: 16, rows: 4 };
         strips.add(Isa::PLAIN, &[0, 1], &mut [[0; 16]; 4]);
     }

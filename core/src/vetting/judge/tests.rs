@@ -41,7 +41,7 @@ fn street(seed: u64, cars: u64) -> Vec<[f64; 2]> {
     points
 }
 
-/// What a vehicle sees of points, with noise and clutter, believing in a pose that is off.
+/// What a vehicle sees of points, with noise and clutter, and with a pose that is off.
 fn seen(points: &[[f64; 2]], off: Pose2, noise: u64) -> Cells {
     let mut rng = ChaCha8Rng::seed_from_u64(noise);
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
@@ -73,7 +73,7 @@ struct Map {
 }
 
 impl Map {
-    /// The map of what one vehicle saw; `err` is what a crowd of ten says that it errs by.
+    /// The map of what one vehicle saw; `err` is its own offset, by ten passes.
     fn of(cells: &Cells, err: Offset) -> Self {
         let cell = |hit: &CellHits| {
             let (passes, contributors, presence) = (1, 1, presence::ALWAYS);
@@ -99,12 +99,12 @@ impl MapSide for Map {
     }
 }
 
-fn shares(cells: &Cells) -> Vec<Share<'_>> {
+fn tile_hits(cells: &Cells) -> Vec<TileHits<'_>> {
     cells.iter().map(|(id, cells)| (*id, &cells[..])).collect()
 }
 
 fn vetted(cells: &Cells, map: &Map) -> Vetted {
-    Vetter::default().vet(&shares(cells), map, &Limits::default())
+    Vetter::default().vet(&tile_hits(cells), map, &Limits::default())
 }
 
 fn true_map() -> Map {
@@ -117,22 +117,22 @@ fn agreed(vetted: &Vetted) -> Pose2 {
     offsets.at(MIDDLE)
 }
 
-/// Catches: an offset with the wrong sign or about the wrong place.
+/// Catches: an offset with the wrong sign or about the wrong position.
 #[test]
 fn an_honest_upload_agrees_and_lies_on_the_map_once_it_is_moved() {
     let map = true_map();
     let upload = seen(&street(1, 1), Pose2::new(0.2, -0.1, 0.004), 2);
     let first = vetted(&upload, &map);
     let by = agreed(&first);
-    // What the front tells little of is drawn to the crowd's mean.
+    // The front hardly determines the shift along itself, which is drawn to zero.
     assert!((-0.22..-0.1).contains(&by.x_m) && (by.y_m - 0.1).abs() < 0.05, "{by:?}");
     assert!((by.yaw_rad + 0.004).abs() < 0.002, "{by:?}");
     let Vetted::Agrees(offsets) = first else { unreachable!("it agreed") };
-    let rest = agreed(&vetted(&moved(&shares(&upload), &offsets), &map));
+    let rest = agreed(&vetted(&moved(&tile_hits(&upload), &offsets), &map));
     assert!(rest.x_m.hypot(rest.y_m) < 0.1 && rest.yaw_rad.abs() < 0.001, "{rest:?}");
 }
 
-/// Catches: a search that ends within the limit, and an expected place that is preferred to a better one.
+/// Catches: a search that ends within the limit, and an expected position that is preferred to a better one.
 #[test]
 fn shifts_and_turns_are_quarantined_with_their_size() {
     let map = true_map();
@@ -160,7 +160,7 @@ fn another_street_disagrees_and_an_empty_map_says_nothing() {
     assert_eq!(offsets.at(MIDDLE), Pose2::IDENTITY);
 }
 
-/// Catches: a share of matched returns as the criterion, which changes in a street would pull down.
+/// Catches: a fraction of matched returns as the criterion, which changes in a street would lower.
 #[test]
 fn other_parked_cars_and_a_building_less_still_agree() {
     let map = true_map();
@@ -172,7 +172,7 @@ fn other_parked_cars_and_a_building_less_still_agree() {
     assert!((by.x_m + 0.1).hypot(by.y_m + 0.1) < 0.06, "{by:?}");
 }
 
-/// Catches: a limit around where the map has it, and not around where the crowd says the truth is.
+/// Catches: a limit around the map as it is, and not around the map less its own offset.
 #[test]
 fn the_crowds_mean_is_what_an_upload_is_held_against() {
     let map = Map::of(

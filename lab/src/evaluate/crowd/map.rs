@@ -8,7 +8,9 @@ use echofix_core::datum::Datum;
 use echofix_core::evidence::TileEvidence;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Decay, Ledger, Tile};
-use echofix_core::vetting::{Limits, MapSide, Offsets, Vetted, Vetter, moved_shares, told_by_others};
+use echofix_core::vetting::{
+    Limits, MapSide, Offsets, Vetted, Vetter, has_other_contributors, moved_evidence,
+};
 
 use super::uploads::Upload;
 use crate::evaluate::map::{MapKey, RadarMap};
@@ -80,7 +82,7 @@ impl Told {
     fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
         let mut folded = Vec::new();
         let shares: Vec<_> = upload.contribution.tiles.iter().map(|(id, share)| (*id, share)).collect();
-        for (id, share, offset) in moved_shares(&shares, offsets) {
+        for (id, share, offset) in moved_evidence(&shares, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
             self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
             for near in id.with_neighbours() {
@@ -102,7 +104,7 @@ impl MapSide for Others<'_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
         let Told { tiles, ledgers, prepared } = self.told;
         let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
-        let told = told_by_others(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
+        let told = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
         let mut prepared = prepared.lock().unwrap_or_else(PoisonError::into_inner);
         told.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use echofix_core::agreement::PointIndex;
+use echofix_core::agreement::MapPointIndex;
 use echofix_core::drive::Drive;
 use echofix_core::geo::{CELL_M, CellIndex, Grid, TileId};
 use echofix_core::tile::Tile;
@@ -135,7 +135,8 @@ impl Visit {
     fn new(seed: u64, most: usize) -> anyhow::Result<Self> {
         let city = town::small(seed)?;
         let drive = town::drive(&city, CROWDS[CROWDS.len() - 1] + 3, Way::Survey, 90_000)?;
-        let genuine = PointIndex::new(city.structure().reflectors.iter().map(|r| city.site().to_map(r.at)));
+        let genuine =
+            MapPointIndex::new(city.structure().reflectors.iter().map(|r| city.site().to_map(r.at)));
         let grid = Grid::new(city.site().zone())?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut made_up = Vec::new();

@@ -23,7 +23,7 @@ use std::fmt::Write;
 
 use echofix_core::tile::Decay;
 use echofix_core::vetting::Limits;
-use echofix_core::vetting::part::Probing;
+use echofix_core::vetting::matching::Probing;
 
 use super::Policy;
 

@@ -3,7 +3,7 @@
 
 use echofix_core::tile::Decay;
 use echofix_core::vetting::Limits;
-use echofix_core::vetting::part::Probing;
+use echofix_core::vetting::matching::Probing;
 
 use super::Policy;
 

@@ -1,5 +1,5 @@
 use super::*;
-use echofix_core::vetting::part::Probing;
+use echofix_core::vetting::matching::Probing;
 
 fn default_policy() -> Policy {
     crate::mapping::MappingConfig::default().policy()

@@ -1,17 +1,22 @@
-//! Where the points of a batch fall on an image, under a hypothesis.
+//! Which pixels of an image the points of a batch fall on, under a hypothesis.
 
 use super::Prior;
 use super::simd::{Isa, Kernel};
-use super::view::Shown;
+use super::view::ImageView;
 use crate::geo::CELL_M;
 use crate::pose::Pose2;
+use crate::window::MapSquare;
 
-/// Where points fall on an image.
+/// From points in the body's frame to the pixels of an image.
 #[derive(Clone, Copy)]
-pub struct Placing<'a> {
-    /// Onto what.
-    pub image: Shown<'a>,
-    /// Where the body is believed to be.
+pub struct Projection<'a> {
+    /// Where the image lies.
+    pub square: MapSquare,
+    /// Map cells along a pixel's side.
+    pub cells: usize,
+    /// Pixels along the image's side.
+    pub side: usize,
+    /// The pose of the body, before a correction.
     pub prior: &'a Prior,
     /// Points farther from the body are left out, ground metres.
     pub reach_m: f64,
@@ -19,39 +24,60 @@ pub struct Placing<'a> {
     pub lag: usize,
 }
 
-impl Placing<'_> {
+impl<'a> Projection<'a> {
+    /// Onto an image.
+    #[must_use]
+    pub fn onto(image: &ImageView, prior: &'a Prior, reach_m: f64, lag: usize) -> Self {
+        Self { square: image.square, cells: image.cells, side: image.side, prior, reach_m, lag }
+    }
+
+    /// Onto an image of a square whose pixels are cells.
+    #[must_use]
+    pub fn of_cells(square: MapSquare, prior: &'a Prior, reach_m: f64, lag: usize) -> Self {
+        Self { square, cells: 1, side: square.side, prior, reach_m, lag }
+    }
+
     /// Writes for each point the index of its pixel, under a correction of the prior, moved south-west by
     /// the lag along both axes: where the strips of its shifts begin.
     ///
     /// Points are ground metres in the body's frame. Every engine counts those that are written and no
     /// others.
-    pub fn places(&self, isa: Isa, at: Pose2, points: impl Iterator<Item = [f32; 2]>, out: &mut Vec<u32>) {
-        let Self { image, prior, reach_m, lag } = *self;
-        let per_metre = 1.0 / (CELL_M * image.cells as f64);
-        let origin = image.frame.to_metres([0.0, 0.0]);
-        let (s, c) = (prior.pose.yaw_rad + at.yaw_rad).sin_cos();
+    pub fn pixel_indices(
+        &self,
+        isa: Isa,
+        correction: Pose2,
+        points: impl Iterator<Item = [f32; 2]>,
+        out: &mut Vec<u32>,
+    ) {
+        let Self { square, cells, side, prior, reach_m, lag } = *self;
+        let per_metre = 1.0 / (CELL_M * cells as f64);
+        let origin = square.to_metres([0.0, 0.0]);
+        let (s, c) = (prior.pose.yaw_rad + correction.yaw_rad).sin_cos();
         let pixels = |metres: f64| (metres * per_metre) as f32;
         out.clear();
-        isa.run(Place {
+        isa.run(PixelIndices {
             points,
-            first: [pixels(prior.pose.x_m + at.x_m - origin[0]), pixels(prior.pose.y_m + at.y_m - origin[1])],
+            body: [
+                pixels(prior.pose.x_m + correction.x_m - origin[0]),
+                pixels(prior.pose.y_m + correction.y_m - origin[1]),
+            ],
             turn: [pixels(c * prior.scale), pixels(s * prior.scale)],
             reach_sq: (reach_m * reach_m) as f32,
-            within: [lag as f32, (image.side - lag) as f32],
-            side: image.side as u32,
+            within: [lag as f32, (side - lag) as f32],
+            side: side as u32,
             out,
         });
     }
 }
 
-/// Points that are placed side by side.
+/// Points that are projected side by side.
 const LANES: usize = 16;
 
-/// [`Placing::places`], compiled for an instruction set.
-struct Place<'a, P> {
+/// [`Projection::pixel_indices`], compiled for an instruction set.
+struct PixelIndices<'a, P> {
     points: P,
-    /// The body, pixels.
-    first: [f32; 2],
+    /// The body's position, pixels.
+    body: [f32; 2],
     /// Cosine and sine of its heading, pixels a metre.
     turn: [f32; 2],
     reach_sq: f32,
@@ -61,13 +87,13 @@ struct Place<'a, P> {
     out: &'a mut Vec<u32>,
 }
 
-impl<P: Iterator<Item = [f32; 2]>> Kernel for Place<'_, P> {
+impl<P: Iterator<Item = [f32; 2]>> Kernel for PixelIndices<'_, P> {
     type Out = ();
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn run(mut self) {
-        let ([x0, y0], [c, s], [low, high]) = (self.first, self.turn, self.within);
+        let ([x0, y0], [c, s], [low, high]) = (self.body, self.turn, self.within);
         let lag = low as u32;
         loop {
             // Side by side, so that all but the first and the last loop is vectorised.
@@ -99,32 +125,32 @@ impl<P: Iterator<Item = [f32; 2]>> Kernel for Place<'_, P> {
     }
 }
 
-/// Which pixels of an image were met before.
+/// Drops repeated pixels from a list, with a bit for each pixel that is in the list already.
 #[derive(Default)]
-pub struct Once {
-    met: Vec<u64>,
+pub struct DistinctPixels {
+    seen: Vec<u64>,
 }
 
-impl Once {
-    /// Keeps the first of each index: a batch's occupied cells from the cells of its points.
-    pub fn retain(&mut self, places: &mut Vec<u32>) {
-        let words = places.iter().max().map_or(0, |last| *last as usize / 64 + 1);
-        if self.met.len() < words {
-            self.met.resize(words, 0);
+impl DistinctPixels {
+    /// Leaves the first of each index: a batch's occupied cells from the cells of its points.
+    pub fn retain(&mut self, pixels: &mut Vec<u32>) {
+        let words = pixels.iter().max().map_or(0, |last| *last as usize / 64 + 1);
+        if self.seen.len() < words {
+            self.seen.resize(words, 0);
         }
-        // Without a branch on what cannot be foreseen, which a closure of `Vec::retain` is.
+        // Without a branch on what cannot be predicted, which a closure of `Vec::retain` is.
         let mut kept = 0;
-        for i in 0..places.len() {
-            let place = places[i];
-            let (word, bit) = (&mut self.met[place as usize / 64], 1_u64 << (place % 64));
+        for i in 0..pixels.len() {
+            let pixel = pixels[i];
+            let (word, bit) = (&mut self.seen[pixel as usize / 64], 1_u64 << (pixel % 64));
             let first = *word & bit == 0;
             *word |= bit;
-            places[kept] = place;
+            pixels[kept] = pixel;
             kept += usize::from(first);
         }
-        places.truncate(kept);
-        for place in places.iter() {
-            self.met[*place as usize / 64] = 0;
+        pixels.truncate(kept);
+        for pixel in pixels.iter() {
+            self.seen[*pixel as usize / 64] = 0;
         }
     }
 }
@@ -137,13 +163,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn each_cell_is_kept_once(places in prop::collection::vec(0..500_u32, 0..200)) {
-            let mut once = Once::default();
+        fn each_pixel_stays_once(pixels in prop::collection::vec(0..500_u32, 0..200)) {
+            let mut distinct = DistinctPixels::default();
             for _ in 0..2 {
-                let mut kept = places.clone();
-                once.retain(&mut kept);
+                let mut kept = pixels.clone();
+                distinct.retain(&mut kept);
                 prop_assert_eq!(kept.iter().collect::<BTreeSet<_>>().len(), kept.len());
-                prop_assert_eq!(kept.iter().collect::<BTreeSet<_>>(), places.iter().collect::<BTreeSet<_>>());
+                prop_assert_eq!(kept.iter().collect::<BTreeSet<_>>(), pixels.iter().collect::<BTreeSet<_>>());
             }
         }
     }

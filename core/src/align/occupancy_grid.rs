@@ -2,13 +2,13 @@
 
 /// An image of a batch, redrawn for every heading.
 #[derive(Default)]
-pub struct Raster {
+pub struct OccupancyGrid {
     image: Vec<f32>,
     /// Pixels that are not 0: what must be wiped before the next drawing.
     touched: Vec<u32>,
 }
 
-impl Raster {
+impl OccupancyGrid {
     /// Draws points that fall on `pixels`, each moved by `offset`, on a square image. A pixel's value
     /// is that of its number of hits, the last one for more.
     pub fn draw(&mut self, side: usize, pixels: &[u32], offset: usize, values: &[f32]) {
@@ -51,12 +51,12 @@ mod tests {
 
     #[test]
     fn a_pixel_is_worth_its_hits_and_the_last_drawing_is_wiped() {
-        let mut raster = Raster::default();
-        raster.draw(4, &[0, 1, 1, 1], 5, &[0.0, 0.5, 0.75]);
-        let drawn = |r: &Raster, i: usize| r.image()[i].to_bits();
-        assert_eq!([drawn(&raster, 5), drawn(&raster, 6)], [0.5_f32.to_bits(), 0.75_f32.to_bits()]);
-        raster.draw(4, &[3], 0, &[0.0, 1.0]);
-        let sum: f32 = raster.image().iter().sum();
+        let mut grid = OccupancyGrid::default();
+        grid.draw(4, &[0, 1, 1, 1], 5, &[0.0, 0.5, 0.75]);
+        let drawn = |grid: &OccupancyGrid, i: usize| grid.image()[i].to_bits();
+        assert_eq!([drawn(&grid, 5), drawn(&grid, 6)], [0.5_f32.to_bits(), 0.75_f32.to_bits()]);
+        grid.draw(4, &[3], 0, &[0.0, 1.0]);
+        let sum: f32 = grid.image().iter().sum();
         assert_eq!(sum.to_bits(), 1.0_f32.to_bits());
     }
 }

@@ -1,0 +1,147 @@
+//! The answer: what the pipeline found, corrected, with its errors, its diagnostics and its verdict.
+
+use nalgebra::Matrix3;
+
+use super::alternatives::Alternatives;
+use super::ranking::Ranking;
+use super::refine::RefinedCandidate;
+use super::verdict::{Integrity, Protection, Verdict, verdict};
+use crate::pose::{Pose2, wrap_angle};
+
+/// The answer with its diagnostics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alignment {
+    /// Corrected pose of the body: map metres, radians from grid east.
+    pub pose: Pose2,
+    /// Corrected pose minus prior, component by component: metres east and north, radians.
+    pub correction: Pose2,
+    /// Covariance of (east m, north m, yaw rad).
+    pub covariance: [[f64; 3]; 3],
+    /// Other poses that explain the batch.
+    pub alternatives: Alternatives,
+    /// Mean weight of the batch's points, less that of a random shift.
+    pub score: f64,
+    /// The answer's mean weight relative to that of a random shift.
+    pub contrast: f64,
+    /// Log-likelihood by which the answer exceeds the best candidate elsewhere, nats.
+    pub margin: f64,
+    /// Detections that were used.
+    pub points_used: usize,
+    /// Points that the batch was thinned to.
+    pub thinned_points: usize,
+    /// Fraction of them that lie on mapped structure at the answer.
+    pub matched_fraction: f64,
+    /// Fraction of them that lie in a tile the map has.
+    pub coverage: f64,
+    /// Half width of the search: metres and radians.
+    pub searched: (f64, f64),
+    /// May it be used?
+    pub verdict: Verdict,
+}
+
+impl Alignment {
+    /// Protection levels for an integrity risk in (0, 1).
+    #[must_use]
+    pub fn protection(&self, integrity: &Integrity, risk: f64) -> Protection {
+        // P(|x| > k sigma) <= exp(-k^2 / 2) for a Gaussian.
+        let k = integrity.tail * (-2.0 * risk.ln()).sqrt();
+        let (s, c) = self.pose.yaw_rad.sin_cos();
+        let [[xx, xy, _], [_, yy, _], [_, _, tt]] = self.covariance;
+        let along = c * c * xx + 2.0 * c * s * xy + s * s * yy;
+        let cross = s * s * xx - 2.0 * c * s * xy + c * c * yy;
+        Protection { along_m: k * along.sqrt(), cross_m: k * cross.sqrt(), yaw_rad: k * tt.sqrt() }
+    }
+}
+
+/// What an answer is judged by.
+pub(super) struct Findings<'a> {
+    /// The refined candidates of the rigid batch; the best of them is the answer's.
+    pub ranking: &'a Ranking<'a>,
+    /// The answer, if there is any candidate.
+    pub answer: Option<RefinedCandidate>,
+}
+
+impl Findings<'_> {
+    /// The answer with its verdict.
+    pub(super) fn judge(&self, integrity: &Integrity) -> Alignment {
+        let question = &self.ranking.question;
+        let reach_sq = (question.search.extent_m * question.search.extent_m) as f32;
+        let best = self.answer.unwrap_or(RefinedCandidate::NONE);
+        let rigid = self.ranking.refined.first().unwrap_or(&RefinedCandidate::NONE);
+        let on_map = question.prior.corrected(&best.correction);
+        let searched = question.lattice.half_widths();
+        let background = self.ranking.background(searched.0.max(1.0));
+        let (matched_fraction, coverage) = self.agreement(&on_map, integrity);
+        // The map's own offset here is taken back from the answer.
+        let off = question.view.mean_offset([on_map.x_m, on_map.y_m]);
+        let truer =
+            |c: &Pose2| Pose2::new(c.x_m - off.x_m, c.y_m - off.y_m, wrap_angle(c.yaw_rad - off.yaw_rad));
+        let mut alignment = Alignment {
+            pose: truer(&on_map),
+            correction: truer(&best.correction),
+            covariance: self.covariance(&best, integrity).into(),
+            alternatives: self.alternatives(background, truer),
+            score: rigid.score - background,
+            contrast: rigid.score / background.max(f64::MIN_POSITIVE),
+            margin: self.margin(integrity),
+            points_used: question.batch.points.iter().filter(|[x, y]| x * x + y * y <= reach_sq).count(),
+            thinned_points: question.thinned.len(),
+            matched_fraction,
+            coverage,
+            searched,
+            verdict: Verdict::Usable,
+        };
+        let at_edge = best.at_edge || question.lattice.is_left_by(&best.correction);
+        alignment.verdict = verdict(&alignment, at_edge, integrity);
+        alignment
+    }
+
+    /// Fractions of the batch that lie on mapped structure and in mapped tiles.
+    fn agreement(&self, pose: &Pose2, integrity: &Integrity) -> (f64, f64) {
+        let view = self.ranking.question.view;
+        let near = |d: f64| d <= integrity.matched_within_m;
+        let matched = |position: [f64; 2]| {
+            view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
+        };
+        let covered = |position: [f64; 2]| view.tile_at(position).is_some();
+        (self.ranking.fraction(pose, matched), self.ranking.fraction(pose, covered))
+    }
+
+    /// Log-likelihood by which the best candidate exceeds the best one elsewhere, nats; infinite without one.
+    fn margin(&self, integrity: &Integrity) -> f64 {
+        let Some(best) = self.ranking.refined.first() else { return 0.0 };
+        let votes = self.ranking.question.thinned.len() as f64 / integrity.score_temperature;
+        let next = self.ranking.best_beyond(&best.correction);
+        next.map_or(f64::INFINITY, |next| votes * (best.score - next.score))
+    }
+
+    /// Candidates elsewhere, by their score above the background.
+    fn alternatives(&self, background: f64, truer: impl Fn(&Pose2) -> Pose2) -> Alternatives {
+        let mut others = Alternatives::default();
+        let apart_m = self.ranking.question.search.separation_m;
+        let Some((best, rest)) = self.ranking.refined.split_first() else { return others };
+        for other in rest {
+            let correction = truer(&other.correction);
+            let apart = |pose: &Pose2| pose.distance_m(&correction) >= apart_m;
+            if best.correction.distance_m(&other.correction) >= apart_m
+                && others.iter().all(|(pose, _)| apart(pose))
+            {
+                // Everything is an alternative to an answer that is no better than a random shift.
+                let above = best.score - background;
+                let relative = if above > 0.0 { (other.score - background) / above } else { 1.0 };
+                others.push(correction, relative.clamp(0.0, 1.0));
+            }
+        }
+        others
+    }
+
+    /// The candidate's own covariance, and what no number of returns can reduce: the map's own error.
+    fn covariance(&self, best: &RefinedCandidate, integrity: &Integrity) -> Matrix3<f64> {
+        let mut covariance = best.covariance(integrity.temperature);
+        let floor = integrity.map_variance(self.ranking.question.view.typical_passes());
+        covariance[(0, 0)] += floor;
+        covariance[(1, 1)] += floor;
+        covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
+        covariance
+    }
+}

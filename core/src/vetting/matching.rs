@@ -1,0 +1,170 @@
+//! Where the parts of an upload lie on the map.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Matrix3;
+
+use super::MapSide;
+use super::part::UploadPart;
+use crate::align::engine::Candidate;
+use crate::align::pipeline::Pipeline;
+use crate::align::ranking::Ranking;
+use crate::align::refine::{RefinedCandidate, refine};
+use crate::align::weights::TileWeights;
+use crate::align::{EngineKind, Prior, Search};
+use crate::batch::Batch;
+use crate::geo::TileId;
+use crate::pose::Pose2;
+use crate::window::MapSquare;
+
+/// How parts are made and matched with the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Probing {
+    /// Cells farther from a part's middle belong to another part, metres.
+    pub extent_m: f64,
+    /// Half width of the search, metres.
+    pub reach_m: f64,
+    /// Half width of the search, radians.
+    pub reach_yaw_rad: f64,
+    /// Thinned points a part must have to be matched.
+    pub min_points: usize,
+    /// Independent returns count for this many points, where candidates are compared.
+    pub score_temperature: f64,
+    /// The same for the curvature of the score, on squared weights.
+    pub temperature: f64,
+    /// A candidate within this distance of the expected position, metres, is chosen unless another one exceeds it
+    /// by [`Probing::min_margin`].
+    pub home_m: f64,
+    /// The same for the turn, radians.
+    pub home_yaw_rad: f64,
+    /// Nats by which a candidate must exceed those elsewhere to be distinct.
+    pub min_margin: f64,
+    /// A point lies where the map knows something when a map point is this near, metres.
+    pub covered_within_m: f64,
+}
+
+impl Default for Probing {
+    fn default() -> Self {
+        Self {
+            extent_m: 45.0,
+            reach_m: 6.4,
+            reach_yaw_rad: 4_f64.to_radians(),
+            min_points: 300,
+            score_temperature: 10.0,
+            temperature: 2.0,
+            home_m: 0.5,
+            home_yaw_rad: 1_f64.to_radians(),
+            min_margin: 12.0,
+            covered_within_m: 2.0,
+        }
+    }
+}
+
+/// How a part matches the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PartMatch {
+    /// How far it lies from its expected position: to be added to its positions besides, so that they lie
+    /// on the map; metres east and north, radians about its middle.
+    pub error: Pose2,
+    /// Covariance of (east m, north m, yaw rad); infinite where the map does not determine it.
+    pub covariance: Matrix3<f64>,
+    /// Points that it was thinned to.
+    pub points: usize,
+    /// Fraction of them near which the map has anything.
+    pub coverage: f64,
+    /// Score relative to that of a random shift.
+    pub contrast: f64,
+    /// Log-likelihood by which the chosen candidate exceeds the best one elsewhere, nats; negative when it was
+    /// chosen for being near the expected position.
+    pub margin: f64,
+    /// True when it lies on the edge of the search.
+    pub at_edge: bool,
+}
+
+/// The expected position as a candidate: the prior, uncorrected.
+const EXPECTED: Candidate = Candidate { correction: Pose2::IDENTITY, score: 0.0, at_edge: false };
+
+/// Matches parts with the map, with the buffers of one thread.
+#[derive(Default)]
+pub struct PartMatcher {
+    pipeline: Pipeline,
+}
+
+impl PartMatcher {
+    /// Matches a part with the map near its expected position: its own positions and `expected`, metres and
+    /// radians about its middle. `None` where the map has nothing at all, or the part too few points.
+    ///
+    /// `tiles` holds the tiles that were asked for, for the next part.
+    pub fn find(
+        &mut self,
+        part: &UploadPart,
+        expected: &Pose2,
+        map: &dyn MapSide,
+        tiles: &mut BTreeMap<TileId, Option<Arc<TileWeights>>>,
+        probing: &Probing,
+    ) -> Option<PartMatch> {
+        self.pipeline.thin(&part.points, probing.extent_m);
+        if self.pipeline.points().len() < probing.min_points {
+            return None;
+        }
+        let square = MapSquare::around(part.zone, part.middle, probing.extent_m, probing.reach_m);
+        let known: Vec<_> = square
+            .tiles()
+            .filter_map(|id| tiles.entry(id).or_insert_with(|| map.weights(id)).clone())
+            .collect();
+        if known.is_empty() {
+            return None;
+        }
+        self.pipeline.assemble(square, &known);
+        let [x, y] = part.middle;
+        let prior = Prior {
+            pose: Pose2::new(x + expected.x_m, y + expected.y_m, expected.yaw_rad),
+            sigma_position_m: probing.reach_m,
+            sigma_yaw_rad: probing.reach_yaw_rad,
+            scale: 1.0,
+        };
+        let search = Search { sigmas: 1.0, extent_m: probing.extent_m, ..Search::default() };
+        // The engine that is asked counts the thinned points only.
+        let batch = Batch::default();
+        let engine = EngineKind::Fast.engine();
+        Some(matched(&self.pipeline.rank(engine, &batch, &prior, &search, Some(EXPECTED)), probing))
+    }
+}
+
+fn matched(ranking: &Ranking, probing: &Probing) -> PartMatch {
+    let question = &ranking.question;
+    let (prior, points, view) = (question.prior, question.thinned, question.view);
+    let (best, margin) = chosen(ranking, probing);
+    let start = Candidate { correction: best.correction, score: best.score, at_edge: best.at_edge };
+    let sharp = refine(&ranking.field.sharpened(), points, prior, &start);
+    let background = ranking.background(question.lattice.half_widths().0);
+    let near = |d: f64| d <= probing.covered_within_m;
+    let covered = |position: [f64; 2]| {
+        view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
+    };
+    PartMatch {
+        error: sharp.correction,
+        covariance: sharp.covariance(probing.temperature),
+        points: points.len(),
+        coverage: ranking.fraction(&prior.corrected(&sharp.correction), covered),
+        contrast: if background > 0.0 { best.score / background } else { 0.0 },
+        margin,
+        at_edge: best.at_edge || question.lattice.is_left_by(&sharp.correction),
+    }
+}
+
+/// The candidate near the expected position unless another one is better by far, else the best one; and by how
+/// many nats it exceeds the best one elsewhere.
+fn chosen(ranking: &Ranking, probing: &Probing) -> (RefinedCandidate, f64) {
+    let Some(best) = ranking.refined.first() else { return (RefinedCandidate::NONE, 0.0) };
+    let nats = ranking.question.thinned.len() as f64 / probing.score_temperature;
+    let near = |candidate: &&RefinedCandidate| {
+        candidate.correction.distance_m(&Pose2::IDENTITY) <= probing.home_m
+            && candidate.correction.yaw_rad.abs() <= probing.home_yaw_rad
+    };
+    let home = ranking.refined.iter().find(near);
+    let here = home.filter(|home| nats * (best.score - home.score) < probing.min_margin).unwrap_or(best);
+    let next = ranking.best_beyond(&here.correction);
+    (*here, next.map_or(f64::INFINITY, |next| nats * (here.score - next.score)))
+}
