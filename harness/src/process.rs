@@ -161,7 +161,7 @@ impl ServiceProcess {
         let deadline = Instant::now() + ENDS_WITHIN;
         while self.ended().context("stopping the service")?.is_none() {
             if Instant::now() > deadline {
-                bail!("the service did not end within {} s of being told", ENDS_WITHIN.as_secs());
+                bail!("the service did not end within {} s of the request", ENDS_WITHIN.as_secs());
             }
             tokio::time::sleep(Duration::from_millis(20)).await;
         }

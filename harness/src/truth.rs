@@ -65,8 +65,8 @@ impl Truth {
     ///
     /// # Errors
     /// When one of the poses is off the grid.
-    pub fn error(&self, answer: &GeodeticPose, truth: &GeoPose) -> Result<PoseError, geo::Error> {
-        PoseError::on(&self.grid, answer, truth)
+    pub fn error(&self, answer: &GeodeticPose, truth: &GeoPose) -> Result<AnswerError, geo::Error> {
+        AnswerError::on(&self.grid, answer, truth)
     }
 }
 
@@ -83,7 +83,7 @@ pub fn as_prior(pose: &GeoPose) -> Prior {
 
 /// How far a pose is from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseError {
+pub struct AnswerError {
     /// Along the true heading, ground metres.
     pub along_m: f64,
     /// Across it, to the left, ground metres.
@@ -92,7 +92,7 @@ pub struct PoseError {
     pub yaw_rad: f64,
 }
 
-impl PoseError {
+impl AnswerError {
     /// The error of a pose, on the grid of the zone that the truth lies in.
     ///
     /// # Errors
@@ -135,6 +135,6 @@ mod tests {
         let error = truth.error(&answer, &pose).unwrap();
         assert!((error.along_m - 1.0).abs() < 1e-4 && (error.cross_m + 0.5).abs() < 1e-4, "{error:?}");
         assert!((error.yaw_rad - 0.01).abs() < 1e-6);
-        assert_eq!(PoseError::of(&answer, &pose).unwrap(), error);
+        assert_eq!(AnswerError::of(&answer, &pose).unwrap(), error);
     }
 }

@@ -28,16 +28,16 @@ fn main() {
 }
 
 /// A mapped stretch of the town and a 5 s batch on it, three days later.
-struct Scene {
+struct BenchScene {
     tiles: BTreeMap<TileId, Tile>,
     square: MapSquare,
     batch: Batch,
     prior: Prior,
 }
 
-static SCENE: LazyLock<Scene> = LazyLock::new(Scene::new);
+static SCENE: LazyLock<BenchScene> = LazyLock::new(BenchScene::new);
 
-impl Scene {
+impl BenchScene {
     fn new() -> Self {
         let city = City::generate(&CityParams::default()).expect("the default town can be made");
         let grid = Grid::of(city.site().origin()).expect("the default town lies inside UTM");
@@ -55,9 +55,9 @@ impl Scene {
             let (detections, _) = gathering
                 .add(grid.zone(), &seen.scans, &seen.mounts, &poses, scale, &gate)
                 .expect("every sensor is mounted");
-            for (id, share) in &gathering.finish(detections).tiles {
+            for (id, evidence) in &gathering.finish(detections).tiles {
                 let (tile, ledger) = tiles.entry(*id).or_default();
-                tile.fold(ledger, Pass { day: 20_000, contributor }, share);
+                tile.fold(ledger, Pass { day: 20_000, contributor }, evidence);
             }
         }
         let lost = drive(3, 99);

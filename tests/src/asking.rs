@@ -3,7 +3,7 @@
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_harness::prior::PriorSigma;
 use echofix_harness::questions::{DriveQuestions, QuestionPlan, TruthQuestion};
-use echofix_harness::truth::{PoseError, Truth};
+use echofix_harness::truth::{AnswerError, Truth};
 use echofix_proto::v1::{GeodeticPose, LocalizeRequest};
 use rand_chacha::ChaCha8Rng;
 
@@ -36,8 +36,8 @@ pub fn drawn(truth: &Truth, pose: &GeoPose, sigma: PriorSigma, rng: &mut ChaCha8
 }
 
 /// The error of a pose.
-pub fn error(pose: &GeodeticPose, truth: &GeoPose) -> PoseError {
-    PoseError::of(pose, truth).expect("the poses are on the map")
+pub fn error(pose: &GeodeticPose, truth: &GeoPose) -> AnswerError {
+    AnswerError::of(pose, truth).expect("the poses are on the map")
 }
 
 /// The value that a fraction of a sample is not above.

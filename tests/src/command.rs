@@ -9,7 +9,7 @@ use crate::binary;
 
 /// What a run of the command came to.
 #[derive(Debug)]
-pub struct Run {
+pub struct CommandRun {
     /// The exit code; `None` when a signal ended it.
     pub code: Option<i32>,
     /// Standard output.
@@ -18,7 +18,7 @@ pub struct Run {
     pub stderr: String,
 }
 
-impl Run {
+impl CommandRun {
     /// The JSON of standard output; fails the test when the run failed or said something else.
     pub fn json(&self) -> Value {
         assert_eq!(self.code, Some(0), "{self:#?}");
@@ -34,11 +34,11 @@ impl Run {
 }
 
 /// Runs `echofix` with arguments to its end.
-pub fn echofix<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Run {
+pub fn echofix<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> CommandRun {
     let mut command = Command::new(binary::echofix());
     // What a developer has set must not decide a test.
     command.env_remove("ECHOFIX_SERVER").env_remove("ECHOFIX_HTTP");
     let output = command.args(arguments).stdin(Stdio::null()).output().expect("echofix can be run");
     let text = |bytes| String::from_utf8(bytes).expect("the command writes UTF-8");
-    Run { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }
+    CommandRun { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }
 }

@@ -94,7 +94,7 @@ pub fn upload(id: Uuid, contributor: &str, time_us: i64, contribution: &Evidence
         .collect()
 }
 
-/// What was kept out of the map.
+/// The quarantine: uploads that vetting kept out of the map, and alarms.
 pub fn quarantine(service: &Service) -> Value {
     http::get(&format!("{}/api/v1/map/quarantine", service.http)).json()
 }
@@ -109,7 +109,7 @@ pub fn cells(tiles: &Tiles) -> BTreeMap<(TileId, u32), u32> {
     cells.collect()
 }
 
-/// What is served, without the versions, which tell of the past.
+/// What is served, without the versions, which depend on the past.
 pub fn bytes(tiles: &Tiles) -> BTreeMap<TileId, &[u8]> {
     tiles.iter().map(|(id, (_, encoded))| (*id, &encoded[..])).collect()
 }

@@ -1,7 +1,7 @@
 //! The harness of the end-to-end tests: the real binary, real sockets, a small simulated town.
 //!
 //! - [`binary`]: the `echofix` command, built once a test process.
-//! - [`service`]: the service as a process: started, killed, started again, ended, its log kept.
+//! - [`service`]: the service as a process: started, killed, started again, ended, with its log.
 //! - [`command`]: one run of the command, and what it said.
 //! - [`disk`]: a disk whose power can be cut.
 //! - [`http`]: what the operators' port answers.

@@ -1,4 +1,4 @@
-//! The service as a process: started, killed, started again, ended, its log kept.
+//! The service as a process: started, killed, started again, ended, with its log.
 
 use std::fs;
 use std::path::PathBuf;

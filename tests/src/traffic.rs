@@ -75,10 +75,10 @@ impl Acknowledgements {
             vehicles.spawn(drive_on(grpc::mapping(service).await, Arc::clone(uploads)));
         }
         end(service).await;
-        while let Some(told) = vehicles.join_next().await {
-            let told = told.expect("a vehicle does not panic");
-            self.answers.extend(told.answers);
-            self.open.extend(told.open);
+        while let Some(known) = vehicles.join_next().await {
+            let known = known.expect("a vehicle does not panic");
+            self.answers.extend(known.answers);
+            self.open.extend(known.open);
         }
     }
 
@@ -107,13 +107,13 @@ impl Acknowledgements {
 
 /// One vehicle: upload after upload, until one fails.
 async fn drive_on(mut client: MappingServiceClient<Channel>, uploads: Arc<Uploads>) -> Acknowledgements {
-    let mut told = Acknowledgements::default();
+    let mut known = Acknowledgements::default();
     loop {
         let number = uploads.fresh();
         let Ok(answer) = mapping::send(&mut client, &uploads.parts(number)).await else {
-            told.open.push(number);
-            return told;
+            known.open.push(number);
+            return known;
         };
-        told.answers.insert(number, answer);
+        known.answers.insert(number, answer);
     }
 }

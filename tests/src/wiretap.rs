@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 
 use crate::service::Service;
 
-/// Hands on what it is told, and counts it: all that is on the wire but TCP's own headers.
+/// Forwards bytes and counts them: all that is on the wire but TCP's own headers.
 pub struct Wiretap {
     /// `http://host:port`, instead of the service's for vehicles.
     pub grpc: String,

@@ -29,7 +29,7 @@ use uuid::Uuid;
 const EACH: u32 = 40;
 /// Cells of a tile.
 const CELLS: usize = 512 * 512;
-/// Places of a tile where something stands.
+/// Cells of a tile where something stands.
 const THINGS: usize = 20_000;
 /// Uploads at once.
 const VEHICLES: u32 = 8;
@@ -42,7 +42,7 @@ const SAMPLES: u32 = 10;
 /// Uploads that tell nothing new, in so many steps.
 const KNOWN: u32 = 2000;
 const KNOWN_STEPS: u32 = 6;
-/// What an upload may leave in memory besides its share of the map, bytes.
+/// What an upload may leave in memory besides its part of the map, bytes.
 const LEFT: u64 = 100;
 /// What may come and go besides, bytes: where the map stays as it is, and where it grows.
 const NOISE: u64 = 2 << 20;
@@ -65,21 +65,21 @@ fn parts(seed: u64, number: u32) -> Vec<UploadRequest> {
     indices.dedup();
     let mut hit =
         |index| CellHits { index, hits: 2, offset_sum: [0; 2].map(|_: u32| rng.random_range(0..512)) };
-    let share = TileEvidence::of_hits(indices.into_iter().map(&mut hit).collect());
-    upload(seed, number, x, i64::from(number / CONTRIBUTORS) % 60, share)
+    let evidence = TileEvidence::of_hits(indices.into_iter().map(&mut hit).collect());
+    upload(seed, number, x, i64::from(number / CONTRIBUTORS) % 60, evidence)
 }
 
-/// What the map knows already: the same cells of a tile, told by the same contributor on the same day.
+/// What the map knows already: the same cells of a tile, from the same contributor on the same day.
 fn known_parts(seed: u64, number: u32) -> Vec<UploadRequest> {
     let hit = |index: u32| CellHits { index: index * 300, hits: 1, offset_sum: [128; 2] };
     upload(seed, number, number % 5, 0, TileEvidence::of_hits((0..20).map(hit).collect()))
 }
 
-fn upload(seed: u64, number: u32, x: u32, day: i64, share: TileEvidence) -> Vec<UploadRequest> {
+fn upload(seed: u64, number: u32, x: u32, day: i64, evidence: TileEvidence) -> Vec<UploadRequest> {
     let tile =
         TileId { zone: Zone::from_epsg(32614).expect("a zone of UTM"), y: 65_000, x: 12_000 + x as i32 };
-    let detections = share.detections();
-    let contribution = EvidenceDelta { tiles: [(tile, share)].into(), detections };
+    let detections = evidence.detections();
+    let contribution = EvidenceDelta { tiles: [(tile, evidence)].into(), detections };
     let contributor = format!("car-{}", number % CONTRIBUTORS);
     let id = Uuid::from_u64_pair(seed, number.into());
     crowd::upload(id, &contributor, FIRST_US + day * DAY_US, &contribution)
@@ -116,7 +116,7 @@ fn disk_use(path: &Path) -> u64 {
 
 /// What a service takes.
 #[derive(Debug, Clone, Copy)]
-struct Sample {
+struct MemorySample {
     at: Instant,
     uploads: u32,
     /// Bytes of the journal, of the tiles and bases on disk, and of the encoded tiles.
@@ -128,7 +128,7 @@ struct Sample {
     memory: u64,
 }
 
-impl Sample {
+impl MemorySample {
     async fn of(service: &Service, uploads: u32) -> Self {
         folded(service).await;
         let journal = disk_use(&service.data_dir().join("journal"));
@@ -165,7 +165,7 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
     for step in 0..SAMPLES {
         let (from, to) = (step * uploads() / SAMPLES, (step + 1) * uploads() / SAMPLES);
         send_all(&service, from..to, move |number| parts(seed, number)).await;
-        samples.push(Sample::of(&service, to).await);
+        samples.push(MemorySample::of(&service, to).await);
     }
     let (half, end) = (samples[samples.len() / 2 - 1], samples[samples.len() - 1]);
     let grown = (end.memory as f64 - half.memory as f64) / f64::from(1 << 20);
@@ -184,8 +184,8 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
         (names.filter(|name| name.to_string_lossy().starts_with("tiles-")).count() == 1).then_some(())
     })
     .await;
-    let compacted = Sample::of(&service, uploads()).await;
-    for Sample { uploads, tiles, live, .. } in &samples {
+    let compacted = MemorySample::of(&service, uploads()).await;
+    for MemorySample { uploads, tiles, live, .. } in &samples {
         assert!(*tiles <= 3 * live + FLOOR, "{uploads} uploads: {tiles} bytes on disk for {live} of tiles");
     }
     assert!(end.descriptors <= half.descriptors + 4, "{half:?} {end:?}");
@@ -197,9 +197,9 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
     assert!(compacted.journal < 64 << 10, "{compacted:?}");
 }
 
-/// The map does not grow, so what grows is what an upload leaves behind: its place in the journal's index.
+/// The map does not grow, so what grows is what an upload leaves behind: its entry in the journal's index.
 ///
-/// Catches: anything else that is kept of every upload.
+/// Catches: anything else that stays in memory for every upload.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_upload_leaves_little_in_memory() {
     let seed = town::seed();
@@ -207,7 +207,7 @@ async fn an_upload_leaves_little_in_memory() {
     let mut samples = Vec::new();
     for step in 0..KNOWN_STEPS {
         send_all(&service, step * KNOWN..(step + 1) * KNOWN, move |number| known_parts(seed, number)).await;
-        samples.push(Sample::of(&service, (step + 1) * KNOWN).await);
+        samples.push(MemorySample::of(&service, (step + 1) * KNOWN).await);
     }
     let (half, end) = (samples[samples.len() / 2 - 1], samples[samples.len() - 1]);
     assert!(end.live < half.live + (4 << 10), "the map grew: {half:?} {end:?}");

@@ -39,14 +39,14 @@ async fn visit(service: &Service, city: &City) -> Vec<String> {
     let questions = asking::requests(&street(city, 20, "visitor"), 8.0, 5);
     assert!(!questions.is_empty(), "the visitor asks");
     let mut client = grpc::localizing(service).await;
-    let mut told = Vec::new();
+    let mut outcomes = Vec::new();
     for case in questions {
-        told.push(match client.localize(case.request).await {
+        outcomes.push(match client.localize(case.request).await {
             Ok(_) => "ANSWERED".to_owned(),
             Err(status) => grpc::reason(&status),
         });
     }
-    told
+    outcomes
 }
 
 /// Catches: a count of uploads or of passes instead of contributors, and a limit that is one off.
@@ -60,19 +60,19 @@ async fn a_street_is_served_from_the_third_contributor_on() {
         let served = tiles::all(&service).await;
         assert_eq!(cells(&served).len(), 0, "day {day}: served before three contributors were there");
         assert!(served.is_empty(), "day {day}: tiles tell where somebody drove: {:?}", served.keys());
-        let told = visit(&service, &city).await;
-        assert!(told.iter().all(|word| word == "NO_MAP"), "day {day}: {told:?}");
+        let outcomes = visit(&service, &city).await;
+        assert!(outcomes.iter().all(|word| word == "NO_MAP"), "day {day}: {outcomes:?}");
     }
     contribute(&service, &street(&city, 3, "carla")).await;
     assert!(cells(&tiles::all(&service).await).len() > 1_000);
-    let told = visit(&service, &city).await;
-    assert!(told.iter().any(|word| word == "ANSWERED"), "{told:?}");
+    let outcomes = visit(&service, &city).await;
+    assert!(outcomes.iter().any(|word| word == "ANSWERED"), "{outcomes:?}");
 }
 
 /// The uploads kept out from an epoch on.
 fn kept_out_after(service: &Service, epoch: u64) -> Vec<Value> {
-    let told = quarantine(service);
-    let uploads = told["uploads"].as_array().expect("uploads are a list").iter();
+    let report = quarantine(service);
+    let uploads = report["uploads"].as_array().expect("uploads are a list").iter();
     uploads.filter(|upload| upload["epoch"].as_u64() > Some(epoch)).cloned().collect()
 }
 
@@ -122,9 +122,9 @@ async fn three_who_agree_on_a_shift_raise_an_alarm_and_publish_nothing() {
         assert_eq!(quarantine(&service)["alarms"], json!([]), "{number} contributors are too few");
         contribute(&service, &shifted(street(&city, 5 + number, vehicle), 0.0, 1.5)).await;
     }
-    let told = quarantine(&service);
-    let alarms = told["alarms"].as_array().expect("alarms are a list");
-    assert!(!alarms.is_empty(), "{told:#}");
+    let report = quarantine(&service);
+    let alarms = report["alarms"].as_array().expect("alarms are a list");
+    assert!(!alarms.is_empty(), "{report:#}");
     for alarm in alarms {
         assert_eq!((&alarm["kind"], &alarm["contributors"]), (&json!("SHIFT"), &json!(3)), "{alarm}");
         let off = |axis: &str| alarm["offset"][axis].as_f64().expect("a shift has an offset");
@@ -200,8 +200,8 @@ async fn who_is_revoked_has_never_been_there() {
 fn supported(drive: &Drive) -> BTreeSet<(TileId, usize)> {
     let of_upload = |upload: PreparedUpload| {
         let tiles = upload.evidence().expect("the recorder makes evidence").tiles.into_iter();
-        let blocks =
-            tiles.flat_map(|(id, share)| share.cells.into_iter().map(move |c| (id, support_block(c.index))));
+        let blocks = tiles
+            .flat_map(|(id, evidence)| evidence.cells.into_iter().map(move |c| (id, support_block(c.index))));
         blocks.collect::<Vec<_>>()
     };
     uploads(drive).into_iter().flat_map(of_upload).collect()
@@ -226,7 +226,7 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
         *support.entry(block).or_default() += 1;
     }
 
-    // Across the lane, at several places: where all of them drove.
+    // Across the lane, at several positions: where all of them drove.
     let truth = asking::truth(&drives[0]);
     let grid = Grid::of(drives[0].truth[0].at).expect("the town is on the map");
     let first = drives[0].truth[0].time_us;
@@ -237,7 +237,7 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
     });
     let wall = hits(grid.zone(), walls, 50);
     let phantom: BTreeSet<_> =
-        wall.tiles.iter().flat_map(|(id, share)| share.cells.iter().map(|c| (*id, c.index))).collect();
+        wall.tiles.iter().flat_map(|(id, evidence)| evidence.cells.iter().map(|c| (*id, c.index))).collect();
     assert!(phantom.len() > 100);
     let mut client = grpc::mapping(&service).await;
     // On several days, and several times a day.

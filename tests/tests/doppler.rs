@@ -19,13 +19,13 @@ fn drive(seed: u64) -> Drive {
 fn the_own_velocity_is_told_among_traffic_and_clutter() {
     let drive = drive(town::seed());
     let tenth = |scan: &Scan| scan.time_us / 100_000;
-    let (mut told, mut all) = (0, 0);
+    let (mut covered, mut all) = (0, 0);
     for group in drive.scans.chunk_by(|a, b| tenth(a) == tenth(b)) {
         let (from_us, to_us) = (group[0].time_us, group[group.len() - 1].time_us);
         let Some(truth) = drive.odometry.velocity_between(from_us, to_us) else { continue };
         all += 1;
         let Some(found) = ego_velocity(group, &drive.mounts, &EgoConfig::default()) else { continue };
-        told += 1;
+        covered += 1;
         let off_mps = (found.velocity.forward_mps - truth.forward_mps).abs();
         let off_radps = (found.velocity.yaw_rate_radps - truth.yaw_rate_radps).abs();
         assert!(
@@ -33,7 +33,7 @@ fn the_own_velocity_is_told_among_traffic_and_clutter() {
             "{off_mps} m/s, {off_radps} rad/s at {from_us}: {found:?}"
         );
     }
-    assert!(told > all * 9 / 10 && all > 100, "{told} of {all}");
+    assert!(covered > all * 9 / 10 && all > 100, "{covered} of {all}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use echofix_core::geo::{Grid, LatLon};
-use echofix_harness::truth::PoseError;
+use echofix_harness::truth::AnswerError;
 use echofix_proto::v1::localize_stream_response::Outcome;
 use echofix_proto::v1::{
     Diagnostics, FixStatus, LocalizeRequest, LocalizeResponse, LocalizeStreamRequest, ProtectionLevel,
@@ -60,7 +60,7 @@ async fn ask_all(world: &World, cases: &[TruthRequest]) -> Vec<LocalizeResponse>
     answers
 }
 
-fn error(answer: &LocalizeResponse, case: &TruthRequest) -> PoseError {
+fn error(answer: &LocalizeResponse, case: &TruthRequest) -> AnswerError {
     asking::error(&answer.pose.expect("an answer has a pose"), &case.truth)
 }
 
@@ -72,8 +72,8 @@ async fn usable_fixes_are_as_accurate_as_the_papers() {
     let Visit { cases, answers, .. } = visit().await;
     assert!(cases.len() >= 30, "{} questions", cases.len());
     let usable: Vec<_> = answers.iter().zip(cases).filter(|(a, _)| a.status() == FixStatus::Usable).collect();
-    let errors: Vec<PoseError> = usable.iter().map(|(answer, case)| error(answer, case)).collect();
-    let at = |share| percentile(errors.iter().map(PoseError::horizontal_m), share);
+    let errors: Vec<AnswerError> = usable.iter().map(|(answer, case)| error(answer, case)).collect();
+    let at = |fraction| percentile(errors.iter().map(AnswerError::horizontal_m), fraction);
     let yaw_deg = percentile(errors.iter().map(|e| e.yaw_rad.abs().to_degrees()), 0.95);
     eprintln!(
         "{} of {} usable; error 50 % {:.3} m, 95 % {:.3} m and {yaw_deg:.3} deg, worst {:.3} m",

@@ -44,9 +44,9 @@ fn parts(seed: u64, number: u32, hits: u32) -> Vec<UploadRequest> {
     let (tile, block) = home(number);
     let first = block / BLOCKS * SIDE * BLOCKS * SIDE + block % BLOCKS * SIDE;
     let hit = |row| CellHits { index: first + row * BLOCKS * SIDE, hits, offset_sum: [hits * 9; 2] };
-    let share = TileEvidence::of_hits((0..10).map(hit).collect());
-    let detections = share.detections();
-    let contribution = EvidenceDelta { tiles: [(tile, share)].into(), detections };
+    let evidence = TileEvidence::of_hits((0..10).map(hit).collect());
+    let detections = evidence.detections();
+    let contribution = EvidenceDelta { tiles: [(tile, evidence)].into(), detections };
     let (contributor, day) = (format!("car-{}", number % 7), i64::from(number % 3));
     let id = Uuid::from_u64_pair(seed, u64::from(number));
     crowd::upload(id, &contributor, FIRST_US + day * DAY_US, &contribution)
@@ -64,7 +64,7 @@ struct Model {
 
 impl Model {
     /// One answer: the first says that it counts, if nobody can have sent it before, and all others repeat it.
-    fn told(&mut self, number: u32, answer: UploadResponse, maybe_known: bool) {
+    fn record(&mut self, number: u32, answer: UploadResponse, maybe_known: bool) {
         assert_eq!(answer.detections_counted, detections(number), "upload {number}: {answer:?}");
         let Some(first) = self.counted.get(&number) else {
             assert!(maybe_known || !answer.duplicate, "upload {number} is new: {answer:?}");
@@ -115,7 +115,7 @@ impl Run {
         assert!(firsts == 1 || firsts == 0 && maybe_known, "{firsts} of {} count", answers.len());
         answers.sort_by_key(|answer| answer.duplicate);
         for answer in answers {
-            self.model.told(number, answer, maybe_known);
+            self.model.record(number, answer, maybe_known);
         }
         self.model.open.retain(|open| *open != number);
     }
@@ -127,7 +127,7 @@ impl Run {
             let (mut client, parts) = (grpc::mapping(&self.service).await, self.parts(number));
             let patience = Duration::from_micros(self.rng.random_range(0..6_000));
             match tokio::time::timeout(patience, send(&mut client, &parts)).await {
-                Ok(answer) => self.model.told(number, answer.expect("it is answered"), true),
+                Ok(answer) => self.model.record(number, answer.expect("it is answered"), true),
                 Err(_) => self.model.open.push(number),
             }
         }
@@ -138,10 +138,10 @@ impl Run {
         let Some(number) = self.model.counted.keys().next_back().copied() else { return };
         let mut client = grpc::mapping(&self.service).await;
         let answer = send(&mut client, &parts(self.seed, number, 100)).await.expect("it is answered");
-        self.model.told(number, answer, true);
+        self.model.record(number, answer, true);
     }
 
-    /// The end of the process, as it is told to or by kill -9, while uploads are under way.
+    /// The end of the process, on request or by kill -9, while uploads are under way.
     async fn restart(&mut self, gently: bool) {
         let mut calls = JoinSet::new();
         for _ in 0..self.rng.random_range(0..6) {
@@ -167,7 +167,7 @@ impl Run {
         // Of one upload that was sent twice at once, the first answer may arrive last.
         answers.sort_by_key(|(_, answer)| answer.duplicate);
         for (number, answer) in answers {
-            self.model.told(number, answer, true);
+            self.model.record(number, answer, true);
         }
         tokio::task::block_in_place(|| self.service.start_again());
     }
@@ -187,7 +187,7 @@ impl Run {
         let mut client = grpc::mapping(&self.service).await;
         for number in 0..self.model.sent {
             let answer = send(&mut client, &self.parts(number)).await.expect("it is answered");
-            self.model.told(number, answer, true);
+            self.model.record(number, answer, true);
         }
         let epoch = folded(&self.service).await;
         assert_eq!(epoch, u64::from(self.model.sent), "a record for each upload");

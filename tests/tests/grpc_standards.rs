@@ -16,7 +16,7 @@ use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
 const SERVICES: [&str; 3] =
     ["echofix.v1.LocalizationService", "echofix.v1.MapService", "echofix.v1.MappingService"];
 
-/// Catches a service that is registered but never told to serve, and one that calls itself healthy
+/// Catches a service that is registered but never set to serving, and one that calls itself healthy
 /// while it ends.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_service_is_healthy_until_the_end() {
@@ -36,8 +36,8 @@ async fn every_service_is_healthy_until_the_end() {
     assert_eq!(watched.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
     service.ask_to_end();
     let last: Option<HealthCheckResponse> =
-        watched.message().await.expect("the watcher is told before the end");
-    assert_eq!(last.expect("the watcher is told before the end").status(), ServingStatus::NotServing);
+        watched.message().await.expect("the watcher gets a status before the end");
+    assert_eq!(last.expect("the watcher gets a status before the end").status(), ServingStatus::NotServing);
     drop((watched, health));
     assert_eq!(service.ended().code(), Some(0));
 }

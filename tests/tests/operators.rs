@@ -64,21 +64,21 @@ async fn what_fixes_can_be_expected_to_be_is_drawn_and_told() {
     assert!(empty.status == 200 && empty.body != picture.body);
 
     let tile = ask(world, &format!("/api/v1/tiles/at?lat={}&lon={}", at.lat_deg, at.lon_deg)).json();
-    let told = ask(world, &format!("/api/v1/tiles/{}/localizability", tile["id"].as_str().unwrap())).json();
-    assert!(told["version"].as_u64() >= tile["version"].as_u64(), "{told}");
-    let places = told["places"].as_array().unwrap();
-    let nearest = |place: &&serde_json::Value| {
-        let off = |key: &str, there: f64| place[key].as_f64().unwrap() - there;
+    let report = ask(world, &format!("/api/v1/tiles/{}/localizability", tile["id"].as_str().unwrap())).json();
+    assert!(report["version"].as_u64() >= tile["version"].as_u64(), "{report}");
+    let spots = report["places"].as_array().unwrap();
+    let nearest = |spot: &&serde_json::Value| {
+        let off = |key: &str, there: f64| spot[key].as_f64().unwrap() - there;
         let east = off("longitude_deg", at.lon_deg) * at.lat_deg.to_radians().cos();
         (1e9 * off("latitude_deg", at.lat_deg).hypot(east)) as u64
     };
-    let here = places.iter().min_by_key(nearest).unwrap();
-    assert_eq!(here["expected"], "USABLE", "{told}");
+    let here = spots.iter().min_by_key(nearest).unwrap();
+    assert_eq!(here["expected"], "USABLE", "{report}");
     let sigma_m = here["weakest_sigma_m"].as_f64().unwrap();
-    assert!((0.05..0.4).contains(&sigma_m), "{told}");
+    assert!((0.05..0.4).contains(&sigma_m), "{report}");
 }
 
-/// Catches layers that are empty, in the wrong place, or drawn again although nothing has changed.
+/// Catches layers that are empty, at the wrong position, or drawn again although nothing has changed.
 #[tokio::test(flavor = "multi_thread")]
 async fn map_layers_are_pictures_that_are_sent_once() {
     let world = world().await;
@@ -165,20 +165,23 @@ async fn a_fix_and_an_upload_are_counted_and_told_at_once() {
     // The state of the map comes first: from here on nothing is missed.
     assert_eq!(events.next("map")["epoch"], uploads.len());
     let answer = mapping::send(&mut sender, last.parts()).await.expect("the upload counts");
-    let told = events.next("upload");
-    assert_eq!((&told["upload_id"], &told["outcome"]), (&answer.upload_id.into(), &"COUNTED".into()));
-    assert_eq!(told["detections_counted"], answer.detections_counted);
+    let report = events.next("upload");
+    assert_eq!((&report["upload_id"], &report["outcome"]), (&answer.upload_id.into(), &"COUNTED".into()));
+    assert_eq!(report["detections_counted"], answer.detections_counted);
     mapping::folded(&service).await;
 
     let visit = echofix_tests::town::wander(&city, 3, "visitor", seed, 150.0);
     let case = echofix_tests::asking::requests(&visit, 1.0, seed).remove(3);
     let answer = client.localize(case.request.clone()).await.expect("there is a map").into_inner();
-    let told = events.next("fix");
+    let report = events.next("fix");
     let word = answer.status().as_str_name().trim_start_matches("FIX_STATUS_").to_owned();
     let pose = answer.pose.unwrap();
-    assert_eq!((&told["status"], &told["latitude_deg"]), (&word.clone().into(), &pose.latitude_deg.into()));
-    assert_eq!(told["protection_m"].is_number(), answer.status() == FixStatus::Usable);
-    assert_eq!(get(&format!("{url}/api/v1/fixes")).json()["fixes"], serde_json::json!([told]));
+    assert_eq!(
+        (&report["status"], &report["latitude_deg"]),
+        (&word.clone().into(), &pose.latitude_deg.into())
+    );
+    assert_eq!(report["protection_m"].is_number(), answer.status() == FixStatus::Usable);
+    assert_eq!(get(&format!("{url}/api/v1/fixes")).json()["fixes"], serde_json::json!([report]));
     let fed = get(&format!("{url}/api/v1/uploads?limit=500")).json();
     assert_eq!(fed["uploads"].as_array().unwrap().len(), uploads.len() + 1);
 
@@ -217,10 +220,10 @@ async fn no_contributor_is_named_anywhere() {
     assert!(said[0].1.len() > 1_000, "at its most talkative the log says something");
     files(&world.service.data_dir(), &mut said);
     assert!(said.iter().any(|(name, bytes)| name.contains("journal") && bytes.len() > 10_000));
-    for (place, bytes) in &said {
+    for (source, bytes) in &said {
         for name in World::MAPPERS.into_iter().chain(["visitor"]) {
             let found = bytes.windows(name.len()).any(|window| window == name.as_bytes());
-            assert!(!found, "`{name}` is in {place}");
+            assert!(!found, "`{name}` is in {source}");
         }
     }
 }

@@ -82,8 +82,8 @@ fn astray(cases: &[TruthRequest]) -> Vec<LocalizeRequest> {
     priors.collect()
 }
 
-/// Catches a vehicle that stays lost because its prior claims too much, and one that is told USABLE far
-/// from where it believes to be: breaks when the wide search is left out, keeps the prior's headings or
+/// Catches a vehicle that stays lost because its prior claims too much, and one that gets USABLE far
+/// from its prior: breaks when the wide search is left out, keeps the prior's headings or
 /// is narrower, or when its answer keeps its verdict.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_vehicle_far_astray_is_told_where_it_is_and_asks_again_from_there() {
@@ -92,20 +92,20 @@ async fn a_vehicle_far_astray_is_told_where_it_is_and_asks_again_from_there() {
     let mut client = grpc::localizing(&world.service).await;
     let mut found = 0;
     for (case, request) in cases.iter().zip(astray(&cases)) {
-        let told = answer(&mut client, request).await;
-        let error_m = error(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
-        eprintln!("{:?}, {error_m:.2} m: {}", told.status(), told.status_reason);
-        assert_ne!(told.status(), FixStatus::Usable, "{told:?}");
-        if told.status() != FixStatus::PriorOutsideSearch {
+        let reply = answer(&mut client, request).await;
+        let error_m = error(reply.pose.as_ref().unwrap(), &case.truth).horizontal_m();
+        eprintln!("{:?}, {error_m:.2} m: {}", reply.status(), reply.status_reason);
+        assert_ne!(reply.status(), FixStatus::Usable, "{reply:?}");
+        if reply.status() != FixStatus::PriorOutsideSearch {
             // Two chance hills near the prior are taken for an ambiguous street, which is not searched wide.
             let ambiguous = [FixStatus::Ambiguous, FixStatus::AmbiguousAlongTrack];
-            assert!(ambiguous.contains(&told.status()), "{told:?}");
+            assert!(ambiguous.contains(&reply.status()), "{reply:?}");
             continue;
         }
-        assert!(error_m < 1.0, "{error_m}: {told:?}");
-        assert!(searched_wide(&told) && !told.protection.as_ref().unwrap().valid, "{told:?}");
-        assert!(searched(&told)[0] > 29.9 && searched(&told)[1] > TAU / 2.0 - 0.01, "{told:?}");
-        let again = answer(&mut client, from(&case.request, told.pose.unwrap(), PriorSigma::PAPER)).await;
+        assert!(error_m < 1.0, "{error_m}: {reply:?}");
+        assert!(searched_wide(&reply) && !reply.protection.as_ref().unwrap().valid, "{reply:?}");
+        assert!(searched(&reply)[0] > 29.9 && searched(&reply)[1] > TAU / 2.0 - 0.01, "{reply:?}");
+        let again = answer(&mut client, from(&case.request, reply.pose.unwrap(), PriorSigma::PAPER)).await;
         let error_m = error(again.pose.as_ref().unwrap(), &case.truth).horizontal_m();
         assert!(!searched_wide(&again) && error_m < 0.5, "{error_m}: {again:?}");
         found += usize::from(again.status() == FixStatus::Usable);
@@ -123,13 +123,13 @@ async fn a_caller_in_a_hurry_is_spared_the_wide_search() {
     for request in astray(&cases[..2]) {
         assert!(searched_wide(&answer(&mut client, request.clone()).await));
         // However busy the machine is, some answer comes in time.
-        let told = until("an answer comes within a short deadline", Duration::from_mins(1), async || {
+        let reply = until("an answer comes within a short deadline", Duration::from_mins(1), async || {
             let mut hurried = tonic::Request::new(request.clone());
             hurried.set_timeout(TOO_SHORT);
             client.localize(hurried).await.ok()
         });
-        let told = told.await.into_inner();
-        assert!(!searched_wide(&told) && told.status() != FixStatus::Usable, "{told:?}");
+        let reply = reply.await.into_inner();
+        assert!(!searched_wide(&reply) && reply.status() != FixStatus::Usable, "{reply:?}");
     }
 }
 
@@ -140,8 +140,8 @@ async fn an_operator_can_do_without_the_wide_search() {
     let cases = world.questions(120.0, 2.0);
     let mut client = grpc::localizing(&world.service).await;
     for request in astray(&cases[..2]) {
-        let told = answer(&mut client, request).await;
-        assert!(!searched_wide(&told) && told.status() != FixStatus::Usable, "{told:?}");
+        let reply = answer(&mut client, request).await;
+        assert!(!searched_wide(&reply) && reply.status() != FixStatus::Usable, "{reply:?}");
     }
 }
 
@@ -181,11 +181,11 @@ async fn the_search_covers_the_longest_axis_of_the_covariance() {
         let request = off(case, [2.76, 2.76, 0.0], PriorSigma { position_m: 0.9, yaw_rad: 0.05 });
         let narrow = answer(&mut client, request.clone()).await;
         assert_ne!(narrow.status(), FixStatus::Usable, "{narrow:?}");
-        let told = answer(&mut client, known_by(&request, &[same, mixed, 0.0, same, 0.0, yaw])).await;
-        assert!((searched(&told)[0] - 4.5).abs() < 1e-9, "{told:?}");
-        assert!(!told.contains_prior && !searched_wide(&told), "{told:?}");
-        let error_m = error(told.pose.as_ref().unwrap(), &case.truth).horizontal_m();
-        usable += usize::from(told.status() == FixStatus::Usable && error_m < 0.5);
+        let reply = answer(&mut client, known_by(&request, &[same, mixed, 0.0, same, 0.0, yaw])).await;
+        assert!((searched(&reply)[0] - 4.5).abs() < 1e-9, "{reply:?}");
+        assert!(!reply.contains_prior && !searched_wide(&reply), "{reply:?}");
+        let error_m = error(reply.pose.as_ref().unwrap(), &case.truth).horizontal_m();
+        usable += usize::from(reply.status() == FixStatus::Usable && error_m < 0.5);
     }
     assert!(usable * 10 >= cases.len() * 9, "{usable} of {}", cases.len());
 }
@@ -210,13 +210,14 @@ async fn the_prior_is_in_the_answer_when_asked_for_and_only_then() {
         combined += 1;
         let prior = [sigma.position_m.powi(2), sigma.position_m.powi(2), sigma.yaw_rad.powi(2)];
         // Of the upper triangle, the diagonal.
-        for (axis, place) in [0, 3, 5].into_iter().enumerate() {
-            let (own, together) = (alone.covariance[place], both.covariance[place]);
+        for (axis, index) in [0, 3, 5].into_iter().enumerate() {
+            let (own, together) = (alone.covariance[index], both.covariance[index]);
             assert!(together > 0.0 && together < own && together < prior[axis], "{alone:?} {both:?}");
         }
         // Corrections of one prior: 0 is the prior, `found` what batch and map say.
-        let (found, kept) = (alone.correction.unwrap(), both.correction.unwrap());
-        let along = (kept.x_m * found.x_m + kept.y_m * found.y_m) / found.x_m.hypot(found.y_m).powi(2);
+        let (found, combined) = (alone.correction.unwrap(), both.correction.unwrap());
+        let along =
+            (combined.x_m * found.x_m + combined.y_m * found.y_m) / found.x_m.hypot(found.y_m).powi(2);
         assert!((0.5..1.0).contains(&along), "the better known counts for more: {along}");
         let levels = |a: &LocalizeResponse| a.protection.unwrap();
         assert!(levels(&both).along_m < levels(&alone).along_m, "{alone:?} {both:?}");

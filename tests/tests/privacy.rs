@@ -1,4 +1,4 @@
-//! Who drove, when, and under which ids it was told: nothing outside the journal says so.
+//! Who drove, when, and under which ids it was uploaded: nothing outside the journal says so.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -53,7 +53,7 @@ fn header(parts: &[UploadRequest]) -> UploadHeader {
     header.clone()
 }
 
-/// Catches: an id in the log or among the tiles, a pseudonym that is stored, times that are kept to the second.
+/// Catches: an id in the log or among the tiles, a pseudonym that is stored, times that are stored to the second.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_but_the_journal_knows_who_drove_when() {
     let service = Service::start_with(&["log.filter=debug"]);

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use echofix_core::geo::{LatLon, TileId};
-use echofix_harness::truth::PoseError;
+use echofix_harness::truth::AnswerError;
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::{FixStatus, GeodeticBox, GetCoverageRequest, TileList, TileVersion};
 use echofix_tests::asking::{error, percentile, requests};
@@ -29,15 +29,15 @@ fn versions(tiles: &Tiles) -> Vec<TileVersion> {
         .collect()
 }
 
-/// Catches tiles that are left out, sent damaged, or not those the uploads were told of.
+/// Catches tiles that are left out, sent damaged, or not those the uploads' answers named.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_area_gives_every_tile_that_touches_it_and_ids_give_the_same() {
     let world = world().await;
     let mut client = grpc::reading(&world.service).await;
     let (all, summary) = tiles::get(&mut client, Selection::Area(EVERYWHERE), Vec::new()).await.unwrap();
-    let told: BTreeSet<TileId> =
+    let named: BTreeSet<TileId> =
         world.answers.iter().flat_map(|a| &a.tiles).map(|t| tiles::id(t.tile.as_ref().unwrap())).collect();
-    assert_eq!(all.keys().copied().collect::<BTreeSet<_>>(), told);
+    assert_eq!(all.keys().copied().collect::<BTreeSet<_>>(), named);
     assert_eq!((summary.epoch, summary.unchanged, summary.absent.len()), (world.answers.len() as u64, 0, 0));
     for (id, (_, encoded)) in &all {
         let tile = echofix_core::tile::decode(encoded).unwrap_or_else(|error| panic!("tile {id}: {error}"));
@@ -86,17 +86,17 @@ async fn only_what_changed_is_sent_to_a_caller_that_has_the_rest() {
     let answer = mapping::send(&mut sender, last.parts()).await.expect("the upload counts");
     mapping::folded(&service).await;
     let (changed, summary) = tiles::get(&mut client, area(), versions(&cached)).await.unwrap();
-    let told: BTreeSet<_> = answer.tiles.iter().map(|t| tiles::id(t.tile.as_ref().unwrap())).collect();
+    let named: BTreeSet<_> = answer.tiles.iter().map(|t| tiles::id(t.tile.as_ref().unwrap())).collect();
     assert_eq!(
         changed.keys().copied().collect::<BTreeSet<_>>(),
-        told,
-        "just the tiles the upload was told of"
+        named,
+        "just the tiles that the upload's answer named"
     );
     let newer =
         |(id, (version, _)): (&TileId, &(u64, _))| cached.get(id).is_none_or(|(old, _)| old != version);
     assert!(changed.iter().all(newer));
-    let kept = cached.keys().filter(|id| !told.contains(id)).count();
-    assert_eq!(summary.unchanged as usize, kept);
+    let unchanged = cached.keys().filter(|id| !named.contains(id)).count();
+    assert_eq!(summary.unchanged as usize, unchanged);
     cached.extend(changed);
     assert_eq!(cached, tiles::all(&service).await, "a caller that follows the changes has the whole map");
 }
@@ -142,7 +142,7 @@ fn mapped_and_unknown(world: &World, expectations: bool) -> (usize, GetCoverageR
     (mapped.len(), request)
 }
 
-/// Catches coverage that is counted in the wrong place or of the wrong day.
+/// Catches coverage that is counted at the wrong position or of the wrong day.
 #[tokio::test(flavor = "multi_thread")]
 async fn coverage_tells_the_mapped_road_from_the_unknown() {
     let world = world().await;
@@ -170,7 +170,7 @@ async fn coverage_tells_the_mapped_road_from_the_unknown() {
     }
 }
 
-/// Catches expectations of the wrong place, without a map they rest on, or that are told unasked.
+/// Catches expectations of the wrong position, without a map they rest on, or that come unasked.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_route_is_told_where_fixes_can_be_expected() {
     let world = world().await;
@@ -194,7 +194,7 @@ async fn a_route_is_told_where_fixes_can_be_expected() {
     assert!(client.get_coverage(unasked).await.unwrap().into_inner().expected.is_empty());
 }
 
-/// Catches a pose that is laid out or told on the wrong zone's grid, or without its convergence: the
+/// Catches a pose that is laid out or answered on the wrong zone's grid, or without its convergence: the
 /// town lies across 6 degrees east, where zone 31 meets zone 32, and a vehicle asks from either side.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
@@ -229,16 +229,16 @@ async fn a_town_on_a_zone_border_is_one_map_from_either_side() {
     );
     assert!(west.len() >= 5 && east.len() >= 5 && (west.len() + east.len()) * 10 >= asked * 6);
     for errors in [&west, &east] {
-        let error_95 = percentile(errors.iter().map(PoseError::horizontal_m), 0.95);
+        let error_95 = percentile(errors.iter().map(AnswerError::horizontal_m), 0.95);
         let yaw_95 = percentile(errors.iter().map(|e| e.yaw_rad.abs().to_degrees()), 0.95);
         // A forgotten convergence would be 4.7 degrees between the zones here.
         assert!(error_95 < 0.44 && yaw_95 < 0.59, "{error_95:.3} m, {yaw_95:.3} deg");
     }
 }
 
-/// Catches a place where the two zones' maps differ, as when what is seen from one side is kept in that
+/// Catches two zones' maps that differ, as when what is seen from one side is stored in that
 /// side's zone only: the same batch, asked from a prior on either side of the border, meets as much
-/// of a map and is answered with the same place.
+/// of a map and is answered with the same pose.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_step_over_the_border_moves_nothing() {
     let seed = town::seed();
@@ -262,9 +262,9 @@ async fn a_step_over_the_border_moves_nothing() {
         assert_eq!(zones, [32631, 32632]);
         let [west, east] = [0, 1].map(|i: usize| answers[i].map.unwrap());
         // The windows are squares of either grid, turned against each other by 5 degrees.
-        let share = f64::from(west.cells) / f64::from(east.cells);
+        let ratio = f64::from(west.cells) / f64::from(east.cells);
         assert!(
-            (0.9..1.1).contains(&share) && (west.coverage - east.coverage).abs() < 0.02,
+            (0.9..1.1).contains(&ratio) && (west.coverage - east.coverage).abs() < 0.02,
             "{west:?} {east:?}"
         );
         if answers.iter().all(|answer| answer.status() == FixStatus::Usable) {

@@ -102,17 +102,20 @@ fn radiate_scans_find_themselves_in_the_map_of_the_scans_before() {
 fn comma2k19_movers_are_dropped_and_too_little_is_never_usable() {
     let loose = ["mapping.max_sigma_position_m=0.6", "mapping.max_sigma_yaw_deg=1"];
     let (service, log, spool) = imported(Service::start_with(&loose), "comma2k19", "comma2k19_example");
-    // Its poses are known to half a metre and a degree: not well enough, unless told so.
+    // Its poses are known to half a metre and a degree: not well enough for the default limits.
     let arguments = ["map", &log, "--server", &service.grpc, "--spool", &spool, "--json"];
     let strict = echofix(arguments);
     assert!(strict.error().contains("without a good pose"), "{strict:?}");
     let mapped =
         echofix(arguments.iter().chain(&["--max-sigma-m", "0.6", "--max-sigma-yaw-deg", "1"])).json();
     eprintln!("{mapped}");
-    let (kept, moving) =
+    let (mapped_count, moving) =
         (number(&mapped["result"]["detections"]), number(&mapped["result"]["left_out"]["moving"]));
     // Some 8 tracks a cycle, little more than one of them stationary.
-    assert!(kept > 0.0 && moving > 3.0 * kept && mapped["result"]["refused"] == 0, "{mapped}");
+    assert!(
+        mapped_count > 0.0 && moving > 3.0 * mapped_count && mapped["result"]["refused"] == 0,
+        "{mapped}"
+    );
     let localized = echofix(["localize", &log, "--server", &service.grpc, "--every-s", "2", "--json"]).json();
     let summary = &localized["summary"];
     eprintln!("{summary:#}");
@@ -148,12 +151,12 @@ impl Fragment {
             .add(grid.zone(), scans, &drive.mounts, &truth, scale, &gate)
             .expect("the radar is mounted");
         let seen = gathering.finish(detections);
-        let fold = |share: &TileEvidence| {
+        let fold = |evidence: &TileEvidence| {
             let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
-            tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, share);
+            tile.fold(&mut ledger, Pass { day: 20_000, contributor: 1 }, evidence);
             tile
         };
-        let tiles = seen.tiles.iter().map(|(id, share)| (*id, fold(share))).collect();
+        let tiles = seen.tiles.iter().map(|(id, evidence)| (*id, fold(evidence))).collect();
         Self { drive, grid, truth, scale, tiles }
     }
 
@@ -228,7 +231,7 @@ fn print_table(rows: &[Row]) {
     eprintln!("|---|---|---|---|---|---|");
     for row in rows {
         let same = row.maxima.iter().zip(exact).filter(|(a, b)| a.0 == b.0).count();
-        let of = |value: fn(&[f64; 2]) -> f64, share| percentile(row.errors.iter().map(value), share);
+        let of = |value: fn(&[f64; 2]) -> f64, fraction| percentile(row.errors.iter().map(value), fraction);
         eprintln!(
             "| {} | {same} of {} | {:.2} m | {:.2} m | {:.2} m | {:.2} deg |",
             row.name,

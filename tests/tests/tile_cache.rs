@@ -48,7 +48,7 @@ fn file(dir: &Path, id: TileId, version: u64) -> PathBuf {
 }
 
 /// Catches a cache that is sent what it has, keeps what is no longer true, does not notice damage, or forgets over a
-/// restart: breaks, for one, when versions are not told, absent tiles stay, or damaged files keep their version.
+/// restart: breaks, for one, when versions are not sent, absent tiles stay, or damaged files keep their version.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cache_is_sent_what_changed_and_no_more() {
     let seed = town::seed();
@@ -125,7 +125,7 @@ async fn a_cache_is_right_again_after_a_backup_was_restored() {
     let mut service = Service::start_with(&["mapping.vet=false"]);
     let zone = Zone::from_epsg(32614).expect("a zone of UTM");
     let [east, north] = TileId { zone, x: 12_000, y: 65_000 }.origin();
-    let told = async |service: &Service, number: u64| {
+    let upload_one = async |service: &Service, number: u64| {
         let wall = (0..50).map(|i| [east + 1.0 + number as f64, north + 0.1 * f64::from(i)]);
         let (id, contribution) = (Uuid::from_u64_pair(1, number), crowd::hits(zone, wall, 2));
         let parts = crowd::upload(id, "mapper", 1_767_225_600_000_000, &contribution);
@@ -135,9 +135,9 @@ async fn a_cache_is_right_again_after_a_backup_was_restored() {
     let folder = service.scratch();
     let archive = folder.join("all.tar");
     let cache = open(&folder.join("tiles"));
-    told(&service, 1).await;
+    upload_one(&service, 1).await;
     echofix(["map", "backup", archive.to_str().expect("a path"), "--http", &service.http, "--json"]).json();
-    let lost = told(&service, 2).await;
+    let lost = upload_one(&service, 2).await;
     assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 1);
 
     service.kill();
@@ -146,7 +146,7 @@ async fn a_cache_is_right_again_after_a_backup_was_restored() {
     let unpacked = Command::new("tar").arg("xf").arg(&archive).arg("-C").arg(service.data_dir()).status();
     assert!(unpacked.expect("tar can be run").success());
     service.start_again();
-    assert_eq!(told(&service, 3).await, lost, "the epochs count on from the backup");
+    assert_eq!(upload_one(&service, 3).await, lost, "the epochs count on from the backup");
     assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 1);
     assert_is(&cache, &tiles::all(&service).await);
     assert_eq!(sync(&cache, &Wiretap::on(&service).await).await.fetched, 0);

@@ -6,7 +6,7 @@ use echofix_client::drivelog::{DriveEvent, replay};
 use echofix_client::vehicle::{Fix, Vehicle, VehicleConfig};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_harness::prior::PriorSigma;
-use echofix_harness::truth::PoseError;
+use echofix_harness::truth::AnswerError;
 use echofix_proto::v1::GeodeticPose;
 use echofix_tests::asking::{self, drawn, percentile};
 use echofix_tests::grpc;
@@ -24,7 +24,7 @@ async fn world() -> &'static World {
 #[derive(Default)]
 struct Trip {
     /// Errors of the position carried to now, ten times a second since the first fix.
-    carried: Vec<PoseError>,
+    carried: Vec<AnswerError>,
     fixes: Vec<Fix>,
     /// Questions without a usable answer.
     without: usize,
@@ -76,7 +76,7 @@ async fn drive(drive: &Drive, localizer: &Localizer, seed: u64, gnss_goes_on: bo
 }
 
 /// The error of the position believed now, once there was a fix.
-fn carried(vehicle: &Vehicle, truth: &GeoPose) -> Option<PoseError> {
+fn carried(vehicle: &Vehicle, truth: &GeoPose) -> Option<AnswerError> {
     let position = vehicle.position().filter(|position| position.fix_age_s.is_some())?;
     let GeoPose { at, yaw_rad, .. } = position.pose;
     Some(asking::error(&GeodeticPose { latitude_deg: at.lat_deg, longitude_deg: at.lon_deg, yaw_rad }, truth))
@@ -95,7 +95,7 @@ async fn a_vehicle_that_lives_on_its_own_fixes_knows_where_it_is() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
     let trip = drive(&world.visit(450.0), &localizer, world.seed, false).await;
-    let at = |share| percentile(trip.carried.iter().map(PoseError::horizontal_m), share);
+    let at = |fraction| percentile(trip.carried.iter().map(AnswerError::horizontal_m), fraction);
     let Trip { carried, fixes, without } = &trip;
     eprintln!(
         "{} fixes, {without} questions without; carried {} times: 50 % {:.3} m, 95 % {:.3} m, worst {:.3} m",
@@ -116,6 +116,6 @@ async fn gnss_going_on_does_no_harm_to_good_fixes() {
     let world = world().await;
     let localizer = grpc::localizer(&world.service);
     let trip = drive(&world.visit(200.0), &localizer, world.seed + 1, true).await;
-    let error_95 = percentile(trip.carried.iter().map(PoseError::horizontal_m), 0.95);
+    let error_95 = percentile(trip.carried.iter().map(AnswerError::horizontal_m), 0.95);
     assert!(trip.fixes.len() >= 10 && error_95 < 1.0, "{} fixes, 95 % {error_95:.3} m", trip.fixes.len());
 }

@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(tiles.iter().map(|id| id.zone.number()).collect::<BTreeSet<_>>(), [14, 15].into());
     }
 
-    /// Breaks when the service is told of tiles that nobody asked about, not told of those at the area's edge, or
+    /// Breaks when the request names tiles that nobody asked about, does not name those at the area's edge, or
     /// asked for more ids than it takes.
     #[test]
     fn requests_say_what_is_there_of_what_is_wanted() {

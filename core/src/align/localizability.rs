@@ -1,4 +1,4 @@
-//! How well can a pose be told from those around it, by the map alone?
+//! How well can a pose be distinguished from those around it, by the map alone?
 //!
 //! The map's own structure around a position is taken as a batch that was seen from there, and aligned with
 //! the map it comes from. How sharply the score falls off around the true pose gives the covariance that a
