@@ -26,8 +26,8 @@ fn upload(zone: Zone, number: u32) -> UploadRecord {
     let hits = |i: u32| CellHits { index: i * 600 + number % 600, hits: 2, offset_sum: [100 + i % 99, 300] };
     // A drive through a neighbourhood of its own; every fiftieth drive is the same.
     let home = (number % 50) as i32 * TILES;
-    let share = || TileEvidence::of_hits((0..CELLS).map(hits).collect());
-    let tiles = (0..TILES).map(|x| (TileId { zone, y: 65_000, x: home + x }, share()));
+    let evidence = || TileEvidence::of_hits((0..CELLS).map(hits).collect());
+    let tiles = (0..TILES).map(|x| (TileId { zone, y: 65_000, x: home + x }, evidence()));
     let contribution =
         EvidenceDelta { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
     let pass = Pass { day: 20_000 + (number / 1000) as u16, contributor: u64::from(number) };

@@ -32,7 +32,7 @@ pub struct FixEvent {
     pub prior_longitude_deg: f64,
     /// Distance from the prior, metres.
     pub correction_m: f64,
-    /// Share of the batch that lies on mapped structure, 0 to 1.
+    /// Fraction of the batch that lies on mapped structure, 0 to 1.
     pub matched_fraction: f64,
     /// Horizontal protection level, metres; absent when not valid.
     pub protection_m: Option<f64>,

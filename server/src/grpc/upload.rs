@@ -161,10 +161,10 @@ impl MappingApi {
 /// The answer, without what only the journal knows.
 fn response(id: Uuid, contributed: &BuiltEvidence) -> UploadResponse {
     let BuiltEvidence { delta: contribution, dropped, .. } = contributed;
-    let tile = |(id, share): (&_, &echofix_core::evidence::TileEvidence)| TileContribution {
+    let tile = |(id, evidence): (&_, &echofix_core::evidence::TileEvidence)| TileContribution {
         tile: Some(tile_id(*id)),
-        cells: share.cells.len() as u32,
-        detections: share.cells.iter().map(|cell| cell.hits).sum(),
+        cells: evidence.cells.len() as u32,
+        detections: evidence.cells.iter().map(|cell| cell.hits).sum(),
     };
     UploadResponse {
         upload_id: id.to_string(),

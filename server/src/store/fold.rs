@@ -60,10 +60,10 @@ fn fold(
         VettingOutcome::Counts(counts) => counts,
         VettingOutcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
     };
-    for (id, share, offset) in counts {
+    for (id, evidence, offset) in counts {
         let folded = buffer.change(id, number)?;
         folded.ledger.forget_before(upload.forget_before);
-        folded.tile.fold_moved(&mut folded.ledger, upload.pass, &share, offset);
+        folded.tile.fold_moved(&mut folded.ledger, upload.pass, &evidence, offset);
     }
     Ok(None)
 }

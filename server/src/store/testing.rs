@@ -16,12 +16,12 @@ pub(crate) fn uploads() -> impl Strategy<Value = UploadRecord> {
     let hits = |(index, hits): (u32, u32)| CellHits { index, hits, offset_sum: [hits * 3, hits * 200] };
     let cells = prop::collection::btree_map(0..300_u32, 1..4_u32, 1..20)
         .prop_map(move |cells| cells.into_iter().map(hits).collect::<Vec<_>>());
-    let share = (cells, 0..VIEW_BLOCKS).prop_map(|(cells, seen)| {
-        let mut share = TileEvidence::of_hits(cells);
-        share.observed.insert(seen);
-        share
+    let evidence = (cells, 0..VIEW_BLOCKS).prop_map(|(cells, seen)| {
+        let mut evidence = TileEvidence::of_hits(cells);
+        evidence.observed.insert(seen);
+        evidence
     });
-    let tiles = prop::collection::btree_map(tile, share, 1..5);
+    let tiles = prop::collection::btree_map(tile, evidence, 1..5);
     let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
     (any::<u128>(), pass, tiles, any::<Vec<u8>>()).prop_map(|(id, pass, tiles, answer)| {
         let detections = tiles.values().map(TileEvidence::detections).sum();

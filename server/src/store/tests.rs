@@ -80,9 +80,9 @@ fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Vec<u8>)> {
 fn model(uploads: &[UploadRecord]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     let mut tiles: BTreeMap<TileId, (u64, Tile, Ledger)> = BTreeMap::new();
     for (number, upload) in (1..).zip(uploads) {
-        for (id, share) in &upload.contribution.tiles {
+        for (id, evidence) in &upload.contribution.tiles {
             let (version, tile, ledger) = tiles.entry(*id).or_default();
-            tile.fold(ledger, upload.pass, share);
+            tile.fold(ledger, upload.pass, evidence);
             *version = number;
         }
     }

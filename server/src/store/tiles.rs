@@ -273,8 +273,8 @@ mod tests {
             hits: 99,
             offset_sum: [noise(at) % 25_000, noise(!at) % 25_000],
         };
-        let share = TileEvidence::of_hits((0..cells).map(hit).collect());
-        folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &share);
+        let evidence = TileEvidence::of_hits((0..cells).map(hit).collect());
+        folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &evidence);
         TileValue::new(id(x), &folded, 1)
     }
 

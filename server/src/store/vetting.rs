@@ -61,27 +61,27 @@ impl Vetting {
     ) -> Result<VettingOutcome, Error> {
         let zones = by_zone(&upload.contribution);
         let Some(limits) = self.limits else {
-            let as_it_came = zones.values().flat_map(|shares| moved_evidence(shares, &Offsets::default()));
+            let as_it_came = zones.values().flat_map(|evidence_by_tile| moved_evidence(evidence_by_tile, &Offsets::default()));
             return Ok(VettingOutcome::Counts(as_it_came.collect()));
         };
         let mut counts = Vec::new();
-        for (zone, shares) in zones {
+        for (zone, evidence_by_tile) in zones {
             let contributor = upload.pass.contributor;
             let others = OthersMap {
                 contributor,
                 within: RefCell::new(OthersMapState { buffer, prepared: &mut self.prepared, failed: None }),
             };
-            let cells: Vec<_> = shares.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
+            let cells: Vec<_> = evidence_by_tile.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
             let vetted = self.vetter.vet(&cells, &others, &limits);
             if let Some(error) = others.within.into_inner().failed {
                 return Err(error);
             }
             match vetted {
                 Vetted::Agrees(offsets) | Vetted::New(offsets) => {
-                    counts.extend(moved_evidence(&shares, &offsets));
+                    counts.extend(moved_evidence(&evidence_by_tile, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
-                    let (place, day) = (middle(&shares), upload.pass.day);
+                    let (place, day) = (middle(&evidence_by_tile), upload.pass.day);
                     let upload = QuarantinedUpload { zone, place, offset, contributor, day };
                     return Ok(VettingOutcome::Quarantined(QuarantinedRecord { number, reason, upload }));
                 }
@@ -93,20 +93,20 @@ impl Vetting {
 
 fn by_zone(contribution: &EvidenceDelta) -> BTreeMap<Zone, Vec<(TileId, &TileEvidence)>> {
     let mut zones: BTreeMap<Zone, Vec<_>> = BTreeMap::new();
-    for (id, share) in &contribution.tiles {
-        zones.entry(id.zone).or_default().push((*id, share));
+    for (id, evidence) in &contribution.tiles {
+        zones.entry(id.zone).or_default().push((*id, evidence));
     }
     zones
 }
 
 /// Map metres of the middle of the tiles, each counting by its cells.
-fn middle(shares: &[(TileId, &TileEvidence)]) -> [f64; 2] {
-    let cells: usize = shares.iter().map(|(_, share)| share.cells.len()).sum();
+fn middle(evidence_by_tile: &[(TileId, &TileEvidence)]) -> [f64; 2] {
+    let cells: usize = evidence_by_tile.iter().map(|(_, evidence)| evidence.cells.len()).sum();
     let weighted = |axis: usize| {
-        let at = |(id, share): &(TileId, &TileEvidence)| {
-            (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64
+        let at = |(id, evidence): &(TileId, &TileEvidence)| {
+            (id.origin()[axis] + 0.5 * TILE_M) * evidence.cells.len() as f64
         };
-        shares.iter().map(at).sum::<f64>() / cells.max(1) as f64
+        evidence_by_tile.iter().map(at).sum::<f64>() / cells.max(1) as f64
     };
     [weighted(0), weighted(1)]
 }

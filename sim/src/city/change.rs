@@ -174,7 +174,7 @@ fn container(structure: &mut Structure, at: &Pose2) {
     let corner = Look { kind: ReflectorKind::Corner, probability: 0.35, rcs_dbsm: 8.0, edge_rad: 1.3 };
     let side = Look { kind: ReflectorKind::Wall, probability: 0.15, rcs_dbsm: 4.0, edge_rad: 0.9 };
     let corners = [([l, w], 0.25 * PI), ([-l, w], 0.75 * PI), ([l, -w], -0.25 * PI), ([-l, -w], -0.75 * PI)];
-    structure.reflectors.extend(corners.map(|(place, facing)| corner.at(at, place, facing)));
+    structure.reflectors.extend(corners.map(|(position, facing)| corner.at(at, position, facing)));
     let ribs = (-2..=2).map(|k| side.at(at, [f64::from(k), w], 0.5 * PI));
     structure.reflectors.extend(ribs);
     structure.wall(at, &[[-l + 0.2, 0.0], [l - 0.2, 0.0]]);
@@ -187,7 +187,7 @@ fn barriers(street: &Street) -> Structure {
     let (frame, y) = (street_frame(street), street.kerb_m - BARRIER_M);
     let count = ((street.length_m() - 2.0 * clear) / POSTS_M).max(0.0) as usize;
     let posts = (0..count).flat_map(|k| [-y, y].map(|y| [clear + k as f64 * POSTS_M, y]));
-    let reflectors = posts.map(|place| post.at(&frame, place, 0.0)).collect();
+    let reflectors = posts.map(|position| post.at(&frame, position, 0.0)).collect();
     Structure { walls: Vec::new(), reflectors }
 }
 

@@ -121,20 +121,20 @@ impl Builder<'_> {
                 rcs_dbsm: -3.0 + normal(&mut self.rng, 4.0),
                 edge_rad: uniform(&mut self.rng, (0.5, 1.1)),
             };
-            let place = [uniform(&mut self.rng, (from, to)), y - PROUD_M];
+            let position = [uniform(&mut self.rng, (from, to)), y - PROUD_M];
             let facing = OUT + uniform(&mut self.rng, (-1.2, 1.2));
-            self.structure.reflectors.push(look.at(&self.frame, place, facing));
+            self.structure.reflectors.push(look.at(&self.frame, position, facing));
         }
     }
 
-    fn corner(&mut self, place: [f64; 2], facing: f64, probability: f64) {
+    fn corner(&mut self, position: [f64; 2], facing: f64, probability: f64) {
         let look = Look {
             kind: ReflectorKind::Corner,
             probability,
             rcs_dbsm: 5.0 + normal(&mut self.rng, 4.0),
             edge_rad: 1.2,
         };
-        self.structure.reflectors.push(look.at(&self.frame, place, facing));
+        self.structure.reflectors.push(look.at(&self.frame, position, facing));
     }
 
     /// A passage between two buildings; returns where the next one starts.

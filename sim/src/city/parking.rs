@@ -55,13 +55,13 @@ pub(super) fn parked(
         let taken = rng.random_bool(params.parking_occupancy);
         let length_m = uniform(&mut rng, (3.8, slot.period_m.min(5.3) - 0.4));
         let slack_m = 0.5 * (slot.period_m - length_m);
-        let place = Pose2::new(
+        let offset = Pose2::new(
             normal(&mut rng, 0.4).clamp(-slack_m, slack_m),
             normal(&mut rng, 0.1).clamp(-0.15, 0.25),
             normal(&mut rng, 0.02),
         );
         let width_m = uniform(&mut rng, (1.7, 1.95));
-        (taken && may_park(slot)).then(|| Car { pose: slot.pose.compose(&place), length_m, width_m })
+        (taken && may_park(slot)).then(|| Car { pose: slot.pose.compose(&offset), length_m, width_m })
     };
     slots.iter().enumerate().filter_map(car).collect()
 }

@@ -19,8 +19,8 @@ fn parked_cars_change_from_day_to_day_and_nothing_else_does() {
     let city = city();
     let (one, two) = (city.on_day(1), city.on_day(2));
     assert_eq!(one.parked(), city.on_day(1).parked());
-    let share = |day: &CityDay| day.parked().len() as f64 / city.slots().len() as f64;
-    assert!((0.55..0.75).contains(&share(&one)) && (0.55..0.75).contains(&share(&two)));
+    let fraction = |day: &CityDay| day.parked().len() as f64 / city.slots().len() as f64;
+    assert!((0.55..0.75).contains(&fraction(&one)) && (0.55..0.75).contains(&fraction(&two)));
     // The same slot may be taken on both days, but hardly by a car of the same size and position.
     let unchanged = one.parked().iter().filter(|car| two.parked().contains(car)).count();
     assert_eq!(unchanged, 0);
@@ -98,8 +98,8 @@ fn every_reflector_on_a_front_is_on_the_street_side_of_its_wall() {
         // Those that face along their wall are seen from one side only.
         blocked(0.0) && blocked(0.5) && blocked(-0.5)
     });
-    let share = hidden.count() as f64 / on_fronts.count() as f64;
-    assert!(share < 0.01, "{share}");
+    let fraction = hidden.count() as f64 / on_fronts.count() as f64;
+    assert!(fraction < 0.01, "{fraction}");
 }
 
 proptest! {

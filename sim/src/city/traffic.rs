@@ -127,8 +127,8 @@ mod tests {
             let (before, after) = (traveller.at(1_700_000_000_000_000), traveller.at(1_700_000_000_010_000));
             let mid = traveller.at(1_700_000_000_005_000);
             for axis in 0..2 {
-                let place = |m: &Mover| [m.vehicle.pose.x_m, m.vehicle.pose.y_m][axis];
-                let rate = (place(&after) - place(&before)) / 0.01;
+                let along = |m: &Mover| [m.vehicle.pose.x_m, m.vehicle.pose.y_m][axis];
+                let rate = (along(&after) - along(&before)) / 0.01;
                 // A traveller may pass a bend or start over in between.
                 checked += usize::from((rate - mid.velocity_mps[axis]).abs() < 1e-3);
             }

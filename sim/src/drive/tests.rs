@@ -129,8 +129,8 @@ fn traffic_stands_out_by_its_doppler() {
         }
     }
     let all: usize = drive.scans.iter().map(Scan::len).sum();
-    let share = moving as f64 / all as f64;
-    assert!((0.01..0.3).contains(&share), "{share}");
+    let fraction = moving as f64 / all as f64;
+    assert!((0.01..0.3).contains(&fraction), "{fraction}");
 }
 
 #[test]

@@ -36,13 +36,13 @@ impl IndexRaster {
     }
 
     /// Column and row of a point, in buckets; outside the box when out of `0..columns`, `0..rows`.
-    fn place(&self, p: Point) -> [f64; 2] {
+    fn cell(&self, p: Point) -> [f64; 2] {
         [(p[0] - self.low[0]) / BUCKET_M, (p[1] - self.low[1]) / BUCKET_M]
     }
 
     /// Columns and rows touched by the box between two corners.
     fn touched(&self, low: Point, high: Point) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (from, to) = (self.place(low), self.place(high));
+        let (from, to) = (self.cell(low), self.cell(high));
         let span = |axis: usize, count: usize| {
             let end = (to[axis].floor() as i64 + 1).clamp(0, count as i64);
             (from[axis].floor() as i64).clamp(0, end) as usize..end as usize

@@ -19,7 +19,7 @@ impl PointRaster {
             .iter()
             .enumerate()
             .map(|(item, p)| {
-                let [x, y] = raster.place(*p);
+                let [x, y] = raster.cell(*p);
                 (raster.bucket((x as usize, y as usize)), item as u32)
             })
             .collect();
@@ -39,9 +39,9 @@ impl PointRaster {
     ) {
         let circle_m = BUCKET_M * std::f64::consts::FRAC_1_SQRT_2;
         let corner = |sign: f64| add(centre, sign * radius_m, [1.0, 1.0]);
-        for place in self.raster.touched(corner(-1.0), corner(1.0)) {
-            let items = self.buckets.of(self.raster.bucket(place));
-            if !items.is_empty() && may_hold(add(self.raster.centre(place), -1.0, centre), circle_m) {
+        for cell in self.raster.touched(corner(-1.0), corner(1.0)) {
+            let items = self.buckets.of(self.raster.bucket(cell));
+            if !items.is_empty() && may_hold(add(self.raster.centre(cell), -1.0, centre), circle_m) {
                 for item in items {
                     visit(*item as usize);
                 }

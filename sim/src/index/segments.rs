@@ -25,7 +25,7 @@ impl SegmentIndex {
             // The slack leaves a crossing on a bucket's border findable from either side.
             let low = [a[0].min(b[0]) - SLACK_M, a[1].min(b[1]) - SLACK_M];
             let high = [a[0].max(b[0]) + SLACK_M, a[1].max(b[1]) + SLACK_M];
-            pairs.extend(raster.touched(low, high).map(|place| (raster.bucket(place), item as u32)));
+            pairs.extend(raster.touched(low, high).map(|cell| (raster.bucket(cell), item as u32)));
         }
         let buckets = Buckets::new(raster.columns * raster.rows, &pairs);
         Self { raster, buckets, segments }
@@ -59,7 +59,7 @@ impl SegmentIndex {
 /// The buckets along a ray (Amanatides and Woo), each with the part of the ray inside it.
 struct Walk<'a> {
     raster: &'a IndexRaster,
-    place: [i64; 2],
+    cell: [i64; 2],
     step: [i64; 2],
     /// Fraction of the ray at which the next border of each axis is reached, and from one to the next.
     next: [f64; 2],
@@ -69,19 +69,19 @@ struct Walk<'a> {
 
 impl<'a> Walk<'a> {
     fn new(raster: &'a IndexRaster, p: Point, q: Point) -> Self {
-        let (start, way) = (raster.place(p), sub(q, p));
-        let place = start.map(|v| v.floor() as i64);
+        let (start, way) = (raster.cell(p), sub(q, p));
+        let cell = start.map(|v| v.floor() as i64);
         let (mut step, mut next, mut stride) = ([0; 2], [f64::INFINITY; 2], [f64::INFINITY; 2]);
         for axis in 0..2 {
             if way[axis] != 0.0 {
                 let forward = way[axis] > 0.0;
                 step[axis] = if forward { 1 } else { -1 };
                 stride[axis] = BUCKET_M / way[axis].abs();
-                let inside = start[axis] - place[axis] as f64;
+                let inside = start[axis] - cell[axis] as f64;
                 next[axis] = stride[axis] * if forward { 1.0 - inside } else { inside };
             }
         }
-        Self { raster, place, step, next, stride, from: 0.0 }
+        Self { raster, cell, step, next, stride, from: 0.0 }
     }
 }
 
@@ -92,12 +92,12 @@ impl Iterator for Walk<'_> {
         let size = [self.raster.columns as i64, self.raster.rows as i64];
         while self.from <= 1.0 {
             let axis = usize::from(self.next[1] < self.next[0]);
-            let (place, from, to) = (self.place, self.from, self.next[axis]);
+            let (cell, from, to) = (self.cell, self.from, self.next[axis]);
             self.from = to;
             self.next[axis] += self.stride[axis];
-            self.place[axis] += self.step[axis];
-            if (0..2).all(|a| (0..size[a]).contains(&place[a])) {
-                return Some((self.raster.bucket((place[0] as usize, place[1] as usize)), from, to));
+            self.cell[axis] += self.step[axis];
+            if (0..2).all(|a| (0..size[a]).contains(&cell[a])) {
+                return Some((self.raster.bucket((cell[0] as usize, cell[1] as usize)), from, to));
             }
         }
         None

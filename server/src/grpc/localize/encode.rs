@@ -159,7 +159,7 @@ fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
         Verdict::MapStale { matched_fraction } => (
             FixStatus::MapStale,
             format!(
-                "the place is clear, but only {:.0} % of the batch is in the map",
+                "the pose is clear, but only {:.0} % of the batch is in the map",
                 percent(matched_fraction)
             ),
         ),

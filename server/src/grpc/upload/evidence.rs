@@ -66,8 +66,8 @@ impl Evidence {
         if detections == 0 {
             return Err(BuildError::NoDetections { sent: 0 }.into());
         }
-        let counted = |share: &echofix_core::evidence::TileEvidence| {
-            share.cells.iter().all(|c| c.hits <= MAX_CELL_HITS)
+        let counted = |evidence: &echofix_core::evidence::TileEvidence| {
+            evidence.cells.iter().all(|c| c.hits <= MAX_CELL_HITS)
         };
         if !contribution.tiles.values().all(counted) {
             return Err(invalid(&format!("a cell has more than {MAX_CELL_HITS} hits")));
@@ -91,8 +91,8 @@ impl Evidence {
 /// Detections; those of a zone border are in several zones and count once.
 fn detections(contribution: &EvidenceDelta) -> u64 {
     let mut by_zone: BTreeMap<Zone, u64> = BTreeMap::new();
-    for (id, share) in &contribution.tiles {
-        *by_zone.entry(id.zone).or_default() += share.detections();
+    for (id, evidence) in &contribution.tiles {
+        *by_zone.entry(id.zone).or_default() += evidence.detections();
     }
     by_zone.into_values().max().unwrap_or(0)
 }
@@ -106,8 +106,8 @@ mod tests {
     fn contribution(cells: u32, hits: u32, x: i32) -> EvidenceDelta {
         let id = TileId { zone: Zone::from_epsg(32614).unwrap(), y: 65_000, x };
         let hit = |index| CellHits { index, hits, offset_sum: [hits, hits] };
-        let share = TileEvidence::of_hits((0..cells).map(hit).collect());
-        EvidenceDelta { tiles: [(id, share)].into(), detections: u64::MAX }
+        let evidence = TileEvidence::of_hits((0..cells).map(hit).collect());
+        EvidenceDelta { tiles: [(id, evidence)].into(), detections: u64::MAX }
     }
 
     fn checked(contribution: &EvidenceDelta, sigma_position_m: f32) -> Result<BuiltEvidence, Error> {

@@ -24,8 +24,8 @@ fn street(contributor: u64, [east, north]: [i64; 2]) -> UploadRecord {
         let (id, index) = TileId::locate(Zone::from_epsg(32614).unwrap(), cell);
         tiles.entry(id).or_default().insert(index, CellHits { index, hits: 2, offset_sum: [200, 250] });
     }
-    let share = |cells: BTreeMap<u32, CellHits>| TileEvidence::of_hits(cells.into_values().collect());
-    let tiles: BTreeMap<_, _> = tiles.into_iter().map(|(id, cells)| (id, share(cells))).collect();
+    let evidence = |cells: BTreeMap<u32, CellHits>| TileEvidence::of_hits(cells.into_values().collect());
+    let tiles: BTreeMap<_, _> = tiles.into_iter().map(|(id, cells)| (id, evidence(cells))).collect();
     let detections = tiles.values().map(TileEvidence::detections).sum();
     UploadRecord {
         id: Uuid::from_u128(contributor.into()),
