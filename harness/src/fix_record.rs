@@ -102,3 +102,19 @@ fn fill(fix: &mut FixRecord, answer: &LocalizeResponse, truth: &Truth, true_pose
         fix.server_ms = Some(diagnostics.window_ms + diagnostics.align_ms);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches: a field that was renamed, and with it a column that scripts read.
+    #[test]
+    fn the_columns_of_a_fix_stay_as_they_are() {
+        let json = serde_json::to_value(FixRecord::default()).unwrap();
+        let columns: Vec<_> = json.as_object().unwrap().keys().map(String::as_str).collect();
+        let expected = "detail detections_used error_along_m error_cross_m error_yaw_deg latitude_deg \
+                        longitude_deg matched_fraction outcome protection_along_m protection_cross_m request_bytes \
+                        round_trip_ms server_ms time_us usable yaw_rad";
+        assert_eq!(columns, expected.split_whitespace().collect::<Vec<_>>());
+    }
+}

@@ -113,6 +113,8 @@ impl TileId {
     }
 }
 
+/// `EPSG/X/Y`, decimal: a tile's identity in URLs, JSON and file names, read back by [`TileId::from_str`]. It stays as
+/// it is.
 impl fmt::Display for TileId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}/{}", self.zone.epsg(), self.x, self.y)
@@ -141,6 +143,13 @@ impl FromStr for TileId {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// Catches: another form of the identity that URLs, JSON and exported files hold.
+    #[test]
+    fn the_text_of_an_id_stays_as_it_is() {
+        let id = TileId { zone: Zone::from_epsg(32714).unwrap(), y: 65_410, x: -3 };
+        assert_eq!((id.to_string(), "32714/-3/65410".parse().unwrap()), ("32714/-3/65410".to_owned(), id));
+    }
 
     proptest! {
         #[test]

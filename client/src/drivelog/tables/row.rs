@@ -1,4 +1,4 @@
-//! The rows of each file.
+//! The rows of each file. The columns' names are spelled out: they are the format, whatever the fields are called.
 
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct VehicleRow {
+    #[serde(rename = "vehicle")]
     pub vehicle: String,
 }
 
@@ -14,28 +15,39 @@ pub(super) struct VehicleRow {
 pub(super) struct SensorRow {
     #[serde(rename = "sensor")]
     pub index: usize,
+    #[serde(rename = "x_m")]
     pub x_m: f64,
+    #[serde(rename = "y_m")]
     pub y_m: f64,
+    #[serde(rename = "yaw_rad")]
     pub yaw_rad: f64,
 }
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct DetectionRow {
+    #[serde(rename = "time_us")]
     pub time_us: i64,
+    #[serde(rename = "sensor")]
     pub sensor: usize,
+    #[serde(rename = "range_m")]
     pub range_m: Option<f32>,
+    #[serde(rename = "azimuth_rad")]
     pub azimuth_rad: Option<f32>,
-    #[serde(default)]
+    #[serde(rename = "radial_speed_mps", default)]
     pub radial_speed_mps: Option<f32>,
-    #[serde(default)]
+    #[serde(rename = "rcs_dbsm", default)]
     pub rcs_dbsm: Option<f32>,
 }
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct OdometryRow {
+    #[serde(rename = "time_us")]
     pub time_us: i64,
+    #[serde(rename = "x_m")]
     pub x_m: f64,
+    #[serde(rename = "y_m")]
     pub y_m: f64,
+    #[serde(rename = "yaw_rad")]
     pub yaw_rad: f64,
 }
 
@@ -51,11 +63,17 @@ impl OdometryRow {
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct GeodeticRow {
+    #[serde(rename = "time_us")]
     pub time_us: i64,
+    #[serde(rename = "latitude_deg")]
     pub latitude_deg: f64,
+    #[serde(rename = "longitude_deg")]
     pub longitude_deg: f64,
+    #[serde(rename = "yaw_rad")]
     pub yaw_rad: f64,
+    #[serde(rename = "sigma_position_m")]
     pub sigma_position_m: f64,
+    #[serde(rename = "sigma_yaw_rad")]
     pub sigma_yaw_rad: f64,
 }
 
