@@ -61,7 +61,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
             }
         }
     }
-    if let Some(upload) = recorder.finish() {
+    if let (Some(upload), _) = recorder.finish() {
         uploader.submit(upload).await?;
     }
     if let Err(left) = uploader.flush(Duration::from_secs(30)).await {

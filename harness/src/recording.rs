@@ -74,7 +74,7 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
             DriveEvent::Truth(_) => {}
         }
     }
-    let left_out = recorder.dropped().into();
-    uploads.extend(recorder.finish());
-    Ok(RecordedDrive { uploads, left_out })
+    let (last, dropped) = recorder.finish();
+    uploads.extend(last);
+    Ok(RecordedDrive { uploads, left_out: dropped.into() })
 }

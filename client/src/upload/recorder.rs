@@ -152,14 +152,22 @@ impl Recorder {
         Ok(if complete { self.cut_at(cut) } else { None })
     }
 
-    /// Ends the trip; returns what is left of it.
+    /// Ends the trip; returns what is left of it, and the detections left out of the whole trip, by the reason. They are
+    /// known only now: what the last upload leaves out is gated when it is made.
     #[must_use]
-    pub fn finish(mut self) -> Option<PreparedUpload> {
-        if self.poses.is_empty() || self.start.is_some_and(|_| self.config.trim_ends_m > 0.0) {
-            return None;
+    pub fn finish(mut self) -> (Option<PreparedUpload>, Dropped) {
+        let never_left = self.start.is_some_and(|_| self.config.trim_ends_m > 0.0);
+        let last = if self.poses.is_empty() || never_left {
+            None
+        } else {
+            let cut = self.last_pose_to_record(i64::MAX);
+            self.cut_at(cut)
+        };
+        // Beyond the last pose, or of a trip that never left where it began.
+        for scan in &self.scans {
+            count_lost(&mut self.dropped, scan);
         }
-        let cut = self.last_pose_to_record(i64::MAX);
-        self.cut_at(cut)
+        (last, self.dropped)
     }
 
     /// Detections left out since the beginning, by the reason.
