@@ -30,8 +30,14 @@ pub struct FixSummary {
     pub error_all_m: Option<Percentiles>,
     /// Heading error of all answers, usable or not, degrees.
     pub error_yaw_all_deg: Option<Percentiles>,
-    /// Usable answers whose error exceeded a valid protection level.
+    /// Usable answers whose error exceeded a valid protection level: along, across, or of the heading.
     pub beyond_protection: usize,
+    /// Mean squared error of usable answers over its variance, along the heading: 1 where the covariance is honest.
+    pub nees_along: Option<f64>,
+    /// The same across it.
+    pub nees_cross: Option<f64>,
+    /// The same of the heading.
+    pub nees_yaw: Option<f64>,
     /// Milliseconds the service computed a fix.
     pub server_ms: Option<Percentiles>,
     /// Kilobytes of a request.
@@ -47,11 +53,9 @@ impl ReplayedDrive {
             *outcomes.entry(fix.outcome.clone()).or_default() += 1;
         }
         let yaw = |f: &FixRecord| f.error_yaw_deg.map(f64::abs);
-        let beyond = |f: &&FixRecord| {
-            let exceeds = |error: Option<f64>, level: Option<f64>| {
-                error.zip(level).is_some_and(|(error, level)| error.abs() > level)
-            };
-            exceeds(f.error_along_m, f.protection_along_m) || exceeds(f.error_cross_m, f.protection_cross_m)
+        let mean = |of: fn(&FixRecord) -> Option<f64>| {
+            let values: Vec<f64> = usable().filter_map(of).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
         FixSummary {
             asked: self.fixes.len(),
@@ -63,7 +67,10 @@ impl ReplayedDrive {
             error_yaw_deg: Percentiles::of(usable().filter_map(yaw)),
             error_all_m: Percentiles::of(self.fixes.iter().filter_map(FixRecord::error_m)),
             error_yaw_all_deg: Percentiles::of(self.fixes.iter().filter_map(yaw)),
-            beyond_protection: usable().filter(beyond).count(),
+            beyond_protection: usable().filter(|fix| fix.is_beyond_protection()).count(),
+            nees_along: mean(|fix| fix.nees_along),
+            nees_cross: mean(|fix| fix.nees_cross),
+            nees_yaw: mean(|fix| fix.nees_yaw),
             server_ms: Percentiles::of(self.fixes.iter().filter_map(|f| f.server_ms)),
             request_kb: Percentiles::of(self.fixes.iter().map(|f| f.request_bytes as f64 / 1e3)),
         }

@@ -61,7 +61,9 @@ impl Vetting {
     ) -> Result<VettingOutcome, Error> {
         let zones = by_zone(&upload.contribution);
         let Some(limits) = self.limits else {
-            let as_it_came = zones.values().flat_map(|evidence_by_tile| moved_evidence(evidence_by_tile, &Offsets::default()));
+            let as_it_came = zones
+                .values()
+                .flat_map(|evidence_by_tile| moved_evidence(evidence_by_tile, &Offsets::default()));
             return Ok(VettingOutcome::Counts(as_it_came.collect()));
         };
         let mut counts = Vec::new();
@@ -71,7 +73,8 @@ impl Vetting {
                 contributor,
                 within: RefCell::new(OthersMapState { buffer, prepared: &mut self.prepared, failed: None }),
             };
-            let cells: Vec<_> = evidence_by_tile.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
+            let cells: Vec<_> =
+                evidence_by_tile.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
             let vetted = self.vetter.vet(&cells, &others, &limits);
             if let Some(error) = others.within.into_inner().failed {
                 return Err(error);
