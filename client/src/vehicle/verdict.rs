@@ -16,7 +16,8 @@ pub struct Fix {
     /// Covariance of (east m, north m, yaw rad), along the axes of `pose`, *true* east and north: upper
     /// triangle row by row.
     pub covariance: [f64; 6],
-    /// Bounds of the error; `None` when the answer had no valid ones and none were required.
+    /// Bounds of the error; `None` when the answer had no valid ones and none were required. They leave out what the
+    /// service cannot know: a late radar clock, turned mounts, odometry that jumps, a map that is shifted as a whole.
     pub protection: Option<v1::ProtectionLevel>,
     /// Seconds from the pose's time to the newest odometry when the answer was judged.
     pub age_s: f64,
