@@ -3,7 +3,7 @@
 use crate::gate::{Dropped, Gate, UnknownSensor, for_each_gated_scan};
 use crate::odometry::Trajectory;
 use crate::pose::Pose2;
-use crate::scan::{Mount, ScanView};
+use crate::scan::{Mount, ScanView, in_time_order};
 
 /// Why scans do not form a batch.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -50,7 +50,8 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Organises scans by odometry (paper, alg. fastGlobalAlign l. 3, in the frame of the newest pose).
+    /// Organises scans by odometry (paper, alg. fastGlobalAlign l. 3, in the frame of the newest pose). Whatever
+    /// their order, the batch is that of the scans in order of time: what is reckoned with drift later rests on it.
     ///
     /// # Errors
     /// When a scan names an unknown sensor or the odometry does not cover the reference time.
@@ -64,9 +65,17 @@ impl Batch {
     where
         S: IntoIterator<Item: Into<ScanView<'a>>, IntoIter: Clone>,
     {
+        let scans = scans.into_iter().map(Into::into);
+        if let Some(sorted) = in_time_order(scans.clone()) {
+            // Named by where they were given.
+            let named = scans.enumerate().find(|(_, scan)| scan.sensor >= mounts.len());
+            if let Some((scan, ScanView { sensor, .. })) = named {
+                return Err(UnknownSensor { scan, sensor, mounts: mounts.len() }.into());
+            }
+            return Self::organise(sorted, mounts, odometry, reference_time_us, gate);
+        }
         let outside = Error::ReferenceOutsideOdometry { reference_time_us };
         let to_body = odometry.at(reference_time_us).ok_or(outside)?.inverse();
-        let scans = scans.into_iter().map(Into::into);
         let Extent { rows, duration_s, travelled_m } = Extent::of(scans.clone(), odometry);
         let (mut points, mut sightings) = (Vec::with_capacity(rows), Vec::new());
         let dropped = for_each_gated_scan(scans, mounts, odometry, gate, |scan| {
@@ -118,6 +127,7 @@ impl Extent {
 mod tests {
     use super::*;
     use crate::scan::Scan;
+    use proptest::prelude::*;
 
     fn straight(speed_mps: f64) -> Trajectory {
         Trajectory::new(
@@ -156,6 +166,26 @@ mod tests {
         assert!((batch.speed_mps - 4.0).abs() < 1e-9);
     }
 
+    proptest! {
+        /// Catches: scans taken as they come, radar by radar; drift then bends the batch the wrong way, and the
+        /// answer's heading was off by half a degree with a level of 0.3.
+        #[test]
+        fn any_order_of_the_scans_gives_the_same_batch(
+            order in Just((0..60_usize).collect::<Vec<_>>()).prop_shuffle(),
+        ) {
+            let (odometry, mounts) = (straight(4.0), [Mount::IDENTITY; 3]);
+            // Three radars at the same times.
+            let scan = |i: usize| {
+                Scan { sensor: i % 3, ..pole_scan((i / 3) as i64 * 50_000 + 1_000_000, &odometry) }
+            };
+            let (sorted, shuffled): (Vec<_>, Vec<_>) = order.iter().enumerate().map(|(i, j)| (scan(i), scan(*j))).unzip();
+            let organised = |scans: &[Scan]| {
+                Batch::organise(scans, &mounts, &odometry, 2_000_000, &Gate::default()).unwrap()
+            };
+            prop_assert_eq!(organised(&shuffled), organised(&sorted));
+        }
+    }
+
     #[test]
     fn slow_scans_and_scans_without_pose_are_left_out_and_counted() {
         let odometry = straight(0.5);
@@ -172,10 +202,14 @@ mod tests {
     fn unknown_sensors_and_uncovered_times_are_errors() {
         let odometry = straight(4.0);
         let mut scan = pole_scan(1_000_000, &odometry);
+        let later = pole_scan(1_100_000, &odometry);
         scan.sensor = 3;
         let organise =
             |scans: &[Scan], t| Batch::organise(scans, &[Mount::IDENTITY], &odometry, t, &Gate::default());
-        assert!(matches!(organise(&[scan], 0), Err(Error::UnknownSensor(UnknownSensor { sensor: 3, .. }))));
+        let unknown = |scan| Err(Error::UnknownSensor(UnknownSensor { scan, sensor: 3, mounts: 1 }));
+        assert_eq!(organise(&[scan.clone()], 0), unknown(0));
+        // Out of order: it is still the second that was given.
+        assert_eq!(organise(&[later, scan], 0), unknown(1));
         assert!(matches!(organise(&[], -5), Err(Error::ReferenceOutsideOdometry { .. })));
     }
 }

@@ -60,6 +60,19 @@ impl ScanView<'_> {
     }
 }
 
+/// The scans in order of time, and of sensor where times are equal; `None` when they are in that order already.
+pub(crate) fn in_time_order<'a>(
+    scans: impl Iterator<Item = ScanView<'a>> + Clone,
+) -> Option<Vec<ScanView<'a>>> {
+    let key = |scan: &ScanView<'_>| (scan.time_us, scan.sensor);
+    if scans.clone().is_sorted_by_key(|scan| key(&scan)) {
+        return None;
+    }
+    let mut sorted: Vec<_> = scans.collect();
+    sorted.sort_by_key(key);
+    Some(sorted)
+}
+
 /// Why a scan's columns cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {

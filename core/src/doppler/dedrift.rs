@@ -10,7 +10,7 @@ use nalgebra::{Matrix3x6, SMatrix, SVector, Vector3};
 use super::ego::{EgoConfig, EgoVelocity, ego_velocity};
 use crate::odometry::{BodyVelocity, Trajectory};
 use crate::pose::Pose2;
-use crate::scan::{Mount, ScanView};
+use crate::scan::{Mount, ScanView, in_time_order};
 
 /// How odometry may err.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,7 +63,7 @@ const MIN_ESTIMATES: usize = 5;
 /// Odometry that is slower says that the body stands, metres per second.
 const STANDING_MPS: f64 = 0.05;
 
-/// Corrects odometry by the radial speeds of the scans it organises, oldest first; `None` where they say too
+/// Corrects odometry by the radial speeds of the scans it organises, in any order; `None` where they say too
 /// little, as they do when the sensors do not measure them.
 #[must_use]
 pub fn dedrifted<'a, S>(
@@ -99,6 +99,7 @@ where
     S: IntoIterator<Item: Into<ScanView<'a>>>,
 {
     let scans: Vec<ScanView<'a>> = scans.into_iter().map(Into::into).collect();
+    let scans = in_time_order(scans.iter().copied()).unwrap_or(scans);
     let group_us = (bias.group_s * 1e6) as i64;
     let groups = scans.chunk_by(|a, b| a.time_us.div_euclid(group_us) == b.time_us.div_euclid(group_us));
     let estimate = |group: &[ScanView<'a>]| {
