@@ -27,7 +27,7 @@ use crate::geo::TileId;
 
 /// Sub-cell steps along a cell's side: offsets are resolved to 10 cm / 256.
 pub const OFFSET_STEPS: u32 = 256;
-/// Steps that vehicles send of them: see "Upload size" in `BENCHMARKS.md` for what more are worth.
+/// Steps that vehicles send of them: see "Upload size" in `docs/benchmarks/crowd.md` for what more are worth.
 pub const SENT_STEPS: u32 = 1;
 
 /// What a map cell knows. All but its presence is commutative: the same uploads give the same

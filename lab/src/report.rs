@@ -1,6 +1,6 @@
 //! Generated sections of a written page: what lies between two markers is replaced, the rest stays.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
@@ -23,6 +23,16 @@ pub fn replaced(page: &str, name: &str, body: &str) -> anyhow::Result<String> {
         }
         _ => bail!("the markers `{begin}` and `{end}` must both be there, in this order"),
     }
+}
+
+/// The folder of the benchmarks' pages in the repository at this path; it is made when it is not there.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn pages(repository: &Path) -> anyhow::Result<PathBuf> {
+    let pages = repository.join("docs/benchmarks");
+    std::fs::create_dir_all(&pages).with_context(|| format!("making {}", pages.display()))?;
+    Ok(pages)
 }
 
 /// Replaces a section of a file, which is made when it is not there.

@@ -16,8 +16,8 @@ pub struct Args {
     /// A small town and little of everything: whether it works, rather than what it costs.
     #[arg(long)]
     quick: bool,
-    /// Write the figures into this page, between `<!-- bench:begin -->` and `<!-- bench:end -->`.
-    #[arg(long, value_name = "PAGE")]
+    /// Write the figures into docs/benchmarks/service.md of this folder, the repository's.
+    #[arg(long, value_name = "FOLDER")]
     write: Option<PathBuf>,
 }
 
@@ -37,8 +37,8 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let figures = measure(plan, folder.path(), &say).await?;
     let quick = if quick { " --quick" } else { "" };
     let page = page(&figures, &format!("echofix bench{quick} --seed {seed}"));
-    if let Some(file) = write {
-        report::write_section(&file, "bench", &page)?;
+    if let Some(repository) = write {
+        report::write_section(&report::pages(&repository)?.join("service.md"), "bench", &page)?;
     }
     if json {
         println!("{}", serde_json::to_string(&figures)?);

@@ -45,7 +45,7 @@ pub fn page(figures: &Figures, command: &str) -> String {
 /// A table's head.
 fn head(title: &str, columns: &[&str]) -> String {
     let columns_md: String = columns.iter().fold(String::new(), |line, column| line + " | " + column);
-    format!("\n### {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
+    format!("\n## {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
 }
 
 fn under_load(loads: &[Load], refused: &Load) -> String {
@@ -148,7 +148,7 @@ fn of_lost(lost: &Lost) -> String {
     let Lost { off_m, asked, found, trusted, misled, fix_ms } = lost;
     let ms = fix_ms.map_or(String::new(), |ms| format!("{:.1} / {:.1} / {:.1}", ms.p50, ms.p95, ms.p99));
     format!(
-        "\n### Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
+        "\n## Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
          wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
          {misled} that are not. Search, climb and verdict take {ms} ms (50 / 95 / 99 %).\n"
     )
@@ -158,7 +158,7 @@ fn of_uploads(uploads: &Uploads) -> String {
     let Uploads { count, kb, cpu_ms } = *uploads;
     let each = |all: f64| all / count.max(1) as f64;
     format!(
-        "\n### An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \
+        "\n## An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \
          decoded, written, vetted against the map, folded into it.\n",
         each(kb),
         or_unknown(cpu_ms.map(each), 1)

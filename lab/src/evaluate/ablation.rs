@@ -6,7 +6,7 @@ use super::record::Record;
 use super::section::{Section, under};
 use super::tables;
 
-const WORDS: &str = "### What each step is worth
+const WORDS: &str = "## What each step is worth
 
 From the paper's method on, one step a line: movers gated by their radial speeds, which also correct the odometry; the log
 weights of smoothed hits in place of occupancy; the hill climbed with unrounded, thinned points; odometry's drift as part of the

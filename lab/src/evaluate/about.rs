@@ -53,14 +53,19 @@ speeds corrected. Both get the same epochs, about a second of driving apart, aft
 independent. `Map's own error` is how far off the poses were, on average, that the map was
 made from: nothing that aligns with the map can know of it.";
 
+/// What all experiments share: their data and methods.
+pub fn shared(about: &About) -> String {
+    if about.simulated { format!("{SIMULATED}\n\n{METHOD}") } else { METHOD.to_owned() }
+}
+
 /// The whole report: what all experiments share, then each between markers of its own.
 pub fn page(about: &About, sections: &[Section]) -> String {
-    let shared = if about.simulated { format!("{SIMULATED}\n\n{METHOD}") } else { METHOD.to_owned() };
+    let shared = shared(about);
     let marked = |section: &Section| {
         let (name, part) = part(about, section);
         format!("<!-- {name}:begin -->\n{part}\n<!-- {name}:end -->\n")
     };
-    let head = format!("## The paper's experiments\n\n{shared}\n");
+    let head = format!("# The paper's experiments\n\n{shared}\n");
     let head = sections.iter().any(|section| section.data.is_none()).then_some(head);
     head.into_iter().chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-use super::about::{About, page, part};
+use super::about::{About, page, part, shared};
 use super::condition::{Condition, Experiment};
 use super::crowd::{Scale, Told};
 use super::method::{Name, Windows};
@@ -67,8 +67,8 @@ pub struct Args {
     /// Write every fix to this CSV file.
     #[arg(long)]
     epochs: Option<PathBuf>,
-    /// Write figures to docs/evaluation/ and tables to BENCHMARKS.md, in this folder; with --only, what
-    /// the page says of other experiments stays.
+    /// Write figures and tables into docs/benchmarks/ of this folder, the repository's; what the pages say of other
+    /// experiments stays.
     #[arg(long)]
     write: Option<PathBuf>,
 }
@@ -184,18 +184,18 @@ fn write_rows(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
     Ok(writer.flush()?)
 }
 
+/// Each section onto its page; what the pages say of other experiments stays.
 fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::Result<()> {
-    let figures = folder.join("docs/evaluation");
+    let pages = report::pages(folder)?;
+    let figures = pages.join("figures");
     std::fs::create_dir_all(&figures).with_context(|| format!("making {}", figures.display()))?;
     for section in sections {
         section.draw(&figures)?;
+        let (name, part) = part(about, section);
+        report::write_section(&pages.join(section.experiment.page()), &name, &part)?;
     }
-    let file = folder.join("BENCHMARKS.md");
-    let known = std::fs::read_to_string(&file).unwrap_or_default();
-    let parts: Vec<_> = sections.iter().map(|section| part(about, section)).collect();
-    // What the page says of other experiments stays; a new one goes to its end.
-    if sections.len() < Experiment::ALL.len() && known.contains("<!-- evaluate:begin -->") {
-        return parts.iter().try_for_each(|(name, part)| report::write_section(&file, name, part));
+    if sections.iter().any(|section| section.experiment == Experiment::Headline) {
+        report::write_section(&pages.join(Experiment::Headline.page()), "evaluate-about", &shared(about))?;
     }
-    report::write_section(&file, "evaluate", &page(about, sections))
+    Ok(())
 }

@@ -141,6 +141,16 @@ impl Experiment {
         }
     }
 
+    /// The page of `docs/benchmarks` that its section stands on.
+    pub fn page(self) -> &'static str {
+        match self {
+            Self::Localizability => "localizability.md",
+            Self::Misses => "search.md",
+            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
+            Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => "paper.md",
+        }
+    }
+
     /// Methods it compares besides those asked for.
     pub fn variants(self) -> &'static [Name] {
         match self {

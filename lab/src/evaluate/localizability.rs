@@ -74,7 +74,7 @@ pub fn section(rows: &[Record], base: &Condition) -> String {
     let streets: Vec<&Record> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
     let correlated = rank(&streets).map_or("-".to_owned(), |value| format!("{value:.2}"));
     [
-        "### Localizability\n\nWhat the map alone expects of a fix at the true place, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
+        "## Localizability\n\nWhat the map alone expects of a fix at the true place, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
         &by_sigma(&streets),
         &format!("Rank correlation of expected sigma and realised error: {correlated}.\n"),
         "Streets that are made to be mistaken, and towns: what was expected, and what came of it.\n",

@@ -41,14 +41,14 @@ fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {
 }
 
 fn image(title: &str, file: &str) -> String {
-    format!("![{title}](docs/evaluation/{file})\n")
+    format!("![{title}](figures/{file})\n")
 }
 
 fn headline(rows: &[&Record], base: Condition) -> Section {
     let rows = under(rows, &base, false);
     let groups = by_method(&rows);
     let text = [
-        "### Five-second batches\n\nThe paper prints 44 cm and 0.59 deg at 95 %. Its method never says no, so all of its fixes count as usable.\n",
+        "## Five-second batches\n\nThe paper prints 44 cm and 0.59 deg at 95 %. Its method never says no, so all of its fixes count as usable.\n",
         &tables::errors(&groups),
         &tables::integrity(&groups),
         &tables::covariance(&groups),
@@ -103,7 +103,7 @@ fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> 
         _ => tables::sweep(&groups),
     };
     let count = groups.first().map_or(0, |(_, rows)| rows.len());
-    let head = format!("### {title}\n\n{words}\n{count} fixes a line.\n");
+    let head = format!("## {title}\n\n{words}\n{count} fixes a line.\n");
     let text = [&head, &table, &image(title, file)].map(String::as_str).join("\n");
     Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))], data: None }
 }
@@ -153,7 +153,7 @@ fn ambiguity(rows: &[&Record], base: Condition) -> Section {
         .collect();
     let asked = Integrity::default().min_margin;
     let words = format!(
-        "### Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {asked} nats), tell answers that are wrong by more than a metre?\n"
+        "## Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {asked} nats), tell answers that are wrong by more than a metre?\n"
     );
     let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {

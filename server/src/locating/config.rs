@@ -25,7 +25,7 @@ pub enum EngineChoice {
 impl From<EngineChoice> for EngineKind {
     fn from(engine: EngineChoice) -> Self {
         match engine {
-            // Coarse to fine is the fastest at every width and batch measured: BENCHMARKS.md.
+            // Coarse to fine is the fastest at every width and batch measured: docs/benchmarks/service.md.
             EngineChoice::Auto | EngineChoice::Fast => Self::Fast,
             EngineChoice::Bounded => Self::Bounded,
             EngineChoice::Fft => Self::Fft,

@@ -1,6 +1,6 @@
 //! Values of any length, cut into pieces that suit sled: whole ones take several times their size on disk. With
 //! pieces, in its mode for low space, it settles below three times the encoded tiles and some megabytes more
-//! ("What a map costs" in `BENCHMARKS.md`).
+//! (`docs/benchmarks/map.md`).
 //!
 //! ```text
 //! key    key of the tile (10) | number of the piece (4), big-endian

@@ -3,7 +3,7 @@
 //!
 //! Smoothing makes the map's local maxima wide: the one that is highest on the fine image is among the
 //! highest few on the coarse one. That is not proven but measured: "Does the fast search find the maximum?"
-//! in `BENCHMARKS.md` compares the constants below, all together, with the exact maximum. In simulated towns 6
+//! in `docs/benchmarks/search.md` compares the constants below, all together, with the exact maximum. In simulated towns 6
 //! of 19 200 answers came from another candidate, one of them usable. No table varies them one by one.
 
 use std::cmp::Reverse;

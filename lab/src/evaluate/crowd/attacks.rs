@@ -198,7 +198,7 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
 
 fn words(contributors: u64) -> String {
     format!(
-        "### Bad contributors
+        "## Bad contributors
 
 {contributors} contributors drive 900 m each, on a day of their own; the bad ones among them on {BAD_DAYS} days. Served is what at least {LEAST}
 contributors told. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by

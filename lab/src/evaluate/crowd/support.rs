@@ -247,7 +247,7 @@ impl Line {
     }
 }
 
-const WORDS: &str = "### Support
+const WORDS: &str = "## Support
 
 A cell is served once three contributors hit something near it. How near? Wide rules let one contributor, as the third, serve what he made
 up where two honest ones saw clutter; narrow ones serve less of what stands. Contributors drive every street, each on a day of his own;

@@ -117,7 +117,7 @@ fn count(map: &mut CrowdMap, uploads: &[Upload]) -> Counts {
     counts
 }
 
-const WORDS: &str = "### Vetting
+const WORDS: &str = "## Vetting
 
 Uploads of about 10 s held against maps of contributors that drove every street on other days, and of whom none was the
 uploads' own. In brackets those that met nothing to be held against.

@@ -174,7 +174,7 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     let section = Section {
         experiment: Experiment::Year,
         text: format!(
-            "{}\n{}\n![A year](docs/evaluation/year.svg)\n",
+            "{}\n{}\n![A year](figures/year.svg)\n",
             words(&calendar, uploads),
             table(&columns(), lines.iter().map(Line::cells))
         ),
@@ -187,7 +187,7 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
 fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
     let every = calendar.map_every;
     format!(
-        "### A year
+        "## A year
 
 Five vehicles map a town all on day 0, then two of them every {every} days, 900 m each. Parked cars change every day. One building is
 gone from day 90 on, one is built on day 150, and from day 60 to 179 one street is a building site: containers stand along both kerbs
