@@ -10,14 +10,14 @@ use echofix_harness::progress;
 use echofix_harness::uploading::{UploadedDrive, upload};
 
 use super::ScanRange;
-use super::map_operations::{self, Operation};
+use super::map_operations::{self, MapOperation};
 
 /// Arguments of `echofix map`.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
     #[command(subcommand)]
-    operation: Option<Operation>,
+    operation: Option<MapOperation>,
     /// Address of the service's HTTP port, for operations.
     #[arg(long, global = true, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
     http: String,

@@ -16,7 +16,7 @@ const WITHIN: Duration = Duration::from_hours(1);
 
 /// What is done with the map.
 #[derive(clap::Subcommand)]
-pub enum Operation {
+pub enum MapOperation {
     /// Show what happened to the map: uploads, imports and decisions, newest first.
     History {
         /// How many events.
@@ -82,36 +82,36 @@ pub enum Operation {
 ///
 /// # Errors
 /// When the service is out of reach or refuses, a file cannot be read or written, or `verify` finds damage.
-pub fn run(operation: &Operation, http: &str, json: bool) -> anyhow::Result<()> {
-    let service = Service::at(http);
+pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<()> {
+    let service = OperatorsPort::at(http);
     let body = match operation {
-        Operation::History { limit } => {
+        MapOperation::History { limit } => {
             let body = service.get(&format!("history?limit={limit}"))?;
             return show(&body, json, history);
         }
-        Operation::Diff { from, to } => {
+        MapOperation::Diff { from, to } => {
             let body = service.get(&format!("diff?from={from}&to={to}"))?;
             return show(&body, json, diff);
         }
-        Operation::Verify { replay } => {
+        MapOperation::Verify { replay } => {
             let body = service.get(&format!("verify?replay={replay}"))?;
             show(&body, json, |body| println!("{body:#}"))?;
             // Scripts go by the exit code.
             ensure!(body["sound"] == true, "the store is damaged");
             return Ok(());
         }
-        Operation::Export { file, area } => {
+        MapOperation::Export { file, area } => {
             let query = area.as_ref().map(|area| format!("?box={area}")).unwrap_or_default();
             json!({ "bytes": service.download(&format!("export{query}"), file, 0o644)? })
         }
-        Operation::Backup { file } => json!({ "bytes": service.download("backup", file, 0o600)? }),
-        Operation::Import { file } => service.import(file)?,
-        Operation::Rollback { epoch } => service.post("rollback", &json!({ "epoch": epoch }))?,
-        Operation::Revoke { contributor: Some(contributor), .. } => {
+        MapOperation::Backup { file } => json!({ "bytes": service.download("backup", file, 0o600)? }),
+        MapOperation::Import { file } => service.import(file)?,
+        MapOperation::Rollback { epoch } => service.post("rollback", &json!({ "epoch": epoch }))?,
+        MapOperation::Revoke { contributor: Some(contributor), .. } => {
             service.post("revoke", &json!({ "contributor": contributor }))?
         }
-        Operation::Revoke { upload, .. } => service.post("revoke", &json!({ "upload": upload }))?,
-        Operation::Compact { before } => service.post("settle", &json!({ "before": before }))?,
+        MapOperation::Revoke { upload, .. } => service.post("revoke", &json!({ "upload": upload }))?,
+        MapOperation::Compact { before } => service.post("compact", &json!({ "before": before }))?,
     };
     show(&body, json, |body| println!("{body:#}"))
 }
@@ -159,12 +159,12 @@ fn diff(body: &Value) {
 }
 
 /// The HTTP port of a service.
-struct Service {
+struct OperatorsPort {
     agent: ureq::Agent,
     root: String,
 }
 
-impl Service {
+impl OperatorsPort {
     fn at(http: &str) -> Self {
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(WITHIN))

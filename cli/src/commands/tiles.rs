@@ -11,11 +11,11 @@ use echofix_proto::v1::GeodeticBox;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
-    operation: Operation,
+    operation: TilesOperation,
 }
 
 #[derive(clap::Subcommand)]
-enum Operation {
+enum TilesOperation {
     /// Download what changed of a region's map into a folder, and remove what is no longer in it.
     Sync {
         /// The folder; one that an earlier run filled is brought up to date.
@@ -38,7 +38,7 @@ enum Operation {
 /// # Errors
 /// When the service is out of reach or refuses, or the folder cannot be used.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
-    let Operation::Sync { dir, area, server, max_mb } = args.operation;
+    let TilesOperation::Sync { dir, area, server, max_mb } = args.operation;
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
     let limits = TileCacheLimits { max_bytes: max_mb.saturating_mul(1_000_000) };
     let cache = TileCache::open(dir, limits)?;

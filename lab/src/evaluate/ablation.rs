@@ -2,7 +2,7 @@
 
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::section::{Section, under};
 use super::tables;
 
@@ -15,7 +15,7 @@ the same priors.
 ";
 
 /// The section.
-pub fn section(rows: &[&Record], base: Condition) -> Section {
+pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let experiment = Experiment::Ablation;
     let conditions = experiment.conditions(base, &[]);
     let mut groups = Groups::new();

@@ -1,7 +1,7 @@
 //! What a report must say of itself: machine, command, data.
 
-use super::record::Record;
-use super::run::Plan;
+use super::record::EpochRecord;
+use super::run::EvaluationPlan;
 use super::section::Section;
 use super::worlds::Places;
 use crate::machine::Machine;
@@ -18,7 +18,7 @@ pub struct About {
 
 impl About {
     /// Of this run.
-    pub fn of(places: &Places, plan: &Plan, rows: &[Record]) -> Self {
+    pub fn of(places: &Places, plan: &EvaluationPlan, rows: &[EpochRecord]) -> Self {
         Self {
             machine: Machine::here().to_string(),
             command: command(std::env::args()),

@@ -6,10 +6,10 @@ use anyhow::{Context, bail};
 
 use super::about::{About, page, part, shared};
 use super::condition::{Condition, Experiment};
-use super::crowd::{Scale, Told};
-use super::method::{Name, Windows};
-use super::record::Record;
-use super::run::{Plan, run as ask_all};
+use super::crowd::{CrowdSection, Scale};
+use super::method::{MethodName, Windows};
+use super::record::EpochRecord;
+use super::run::{EvaluationPlan, run as ask_all};
 use super::section::Section;
 use super::worlds::Places;
 use super::{crowd, sanity, sections, summary};
@@ -45,7 +45,7 @@ pub struct Args {
     only: Vec<Experiment>,
     /// The methods, in the order of the tables.
     #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
-    methods: Vec<Name>,
+    methods: Vec<MethodName>,
     /// Contributors of the crowd experiment's maps.
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
@@ -122,7 +122,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Told>> {
+fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<CrowdSection>> {
     let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
     let told = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
     Ok(told.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
@@ -149,14 +149,14 @@ fn places(args: &Args, any: bool) -> Places {
     Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
 }
 
-fn plan(args: &Args) -> Plan {
+fn plan(args: &Args) -> EvaluationPlan {
     let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
     let base = Condition { contributors: args.map.len().max(1), ..Condition::default() };
     let variants = |experiment: Experiment| {
         let conditions = experiment.conditions(base, &[]);
         conditions.into_iter().flat_map(move |c| experiment.variants().iter().map(move |name| (*name, c)))
     };
-    Plan {
+    EvaluationPlan {
         every_s: args.every_s,
         epochs,
         swept,
@@ -176,7 +176,7 @@ fn crowds(args: &Args) -> Vec<usize> {
     args.crowds.iter().copied().filter(possible).collect()
 }
 
-fn write_rows(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
+fn write_rows(path: &Path, rows: &[EpochRecord]) -> anyhow::Result<()> {
     let mut writer = csv::Writer::from_path(path)?;
     for row in rows {
         writer.serialize(row)?;

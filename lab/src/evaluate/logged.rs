@@ -56,7 +56,7 @@ mod tests {
     use crate::evaluate::condition::Condition;
     use crate::evaluate::epoch::epochs;
     use crate::evaluate::map::Movers;
-    use crate::evaluate::world::World;
+    use crate::evaluate::world::EvaluationWorld;
     use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
     #[test]
@@ -72,8 +72,8 @@ mod tests {
         }
         let drives = drives(&path(3), &[path(0)], true).unwrap();
         let exact = drives.localized.odometry.clone();
-        let world = World::new(0, drives, &[1], 0.3).unwrap();
-        assert!(world.map(1, Movers::Dropped).is_ok() && world.map(2, Movers::Kept).is_err());
+        let world = EvaluationWorld::new(0, drives, &[1], 0.3).unwrap();
+        assert!(world.map(1, Movers::Excluded).is_ok() && world.map(2, Movers::Included).is_err());
         assert!(epochs(&world, 1.0, 100, 5).len() > 5);
         let (first, last) = (exact.first().unwrap(), exact.last().unwrap());
         let truth = |t| world.truth.at(t).unwrap();

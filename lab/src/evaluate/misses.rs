@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::condition::{Condition, Experiment};
-use super::method::Name;
-use super::record::Record;
+use super::method::MethodName;
+use super::record::EpochRecord;
 use super::section::Section;
 use echofix_harness::percentiles::Percentiles;
 
@@ -14,8 +14,8 @@ const SAME_M: f64 = 0.1;
 
 /// Two answers to one question.
 struct Pair<'a> {
-    fast: &'a Record,
-    exact: &'a Record,
+    fast: &'a EpochRecord,
+    exact: &'a EpochRecord,
 }
 
 impl Pair<'_> {
@@ -29,7 +29,7 @@ impl Pair<'_> {
 }
 
 /// The section: both searches were asked the same questions.
-pub fn section(rows: &[&Record], base: Condition) -> Section {
+pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let pairs = pairs(rows, base);
     let mut by_place: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();
     for pair in &pairs {
@@ -78,12 +78,12 @@ fn line(pairs: &[&Pair<'_>]) -> [String; 7] {
     ]
 }
 
-fn pairs<'a>(rows: &[&'a Record], base: Condition) -> Vec<Pair<'a>> {
-    let of = |name: Name| {
+fn pairs<'a>(rows: &[&'a EpochRecord], base: Condition) -> Vec<Pair<'a>> {
+    let of = |name: MethodName| {
         let rows = rows.iter().copied().filter(move |r| r.method == name.word() && r.condition == base);
         rows.map(|row| ((&row.world, row.epoch, row.prior), row)).collect::<BTreeMap<_, _>>()
     };
-    let (fast, exact) = (of(Name::Echofix), of(Name::Exact));
+    let (fast, exact) = (of(MethodName::Echofix), of(MethodName::Exact));
     let pair = |(question, exact)| Some(Pair { fast: fast.get(&question)?, exact });
     exact.into_iter().filter_map(pair).collect()
 }
@@ -94,22 +94,22 @@ mod tests {
 
     #[test]
     fn answers_to_one_question_are_compared() {
-        let row = |method: Name, epoch: usize, along_m: f64, usable: bool| Record {
+        let row = |method: MethodName, epoch: usize, along_m: f64, usable: bool| EpochRecord {
             place: "town",
             method: method.word(),
             epoch,
             along_m,
             usable,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         let rows = [
-            row(Name::Echofix, 0, 0.1, true),
-            row(Name::Exact, 0, 0.15, true),
-            row(Name::Echofix, 1, 3.0, true),
-            row(Name::Exact, 1, 0.1, true),
-            row(Name::Echofix, 2, 3.0, false),
-            row(Name::Exact, 2, 0.1, true),
-            row(Name::Exact, 3, 0.1, true),
+            row(MethodName::Echofix, 0, 0.1, true),
+            row(MethodName::Exact, 0, 0.15, true),
+            row(MethodName::Echofix, 1, 3.0, true),
+            row(MethodName::Exact, 1, 0.1, true),
+            row(MethodName::Echofix, 2, 3.0, false),
+            row(MethodName::Exact, 2, 0.1, true),
+            row(MethodName::Exact, 3, 0.1, true),
         ];
         let shown = section(&rows.iter().collect::<Vec<_>>(), Condition::default()).text;
         assert!(shown.contains("| all | 3 | 2 | 1 | 1 | 1 |"), "{shown}");

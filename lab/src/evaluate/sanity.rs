@@ -5,7 +5,7 @@ use echofix_sim::Scene;
 
 use super::condition::Condition;
 use super::groups::{methods, of_method};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::simulated::is_scene;
 use echofix_harness::percentiles::Percentiles;
 
@@ -26,9 +26,10 @@ const LEAST_USABLE: f64 = 0.3;
 ///
 /// # Errors
 /// Naming what is out of bounds.
-pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
+pub fn check(rows: &[EpochRecord], base: &Condition) -> anyhow::Result<()> {
     let all = rows;
-    let rows: Vec<&Record> = rows.iter().filter(|r| !is_scene(r.place) && r.condition == *base).collect();
+    let rows: Vec<&EpochRecord> =
+        rows.iter().filter(|r| !is_scene(r.place) && r.condition == *base).collect();
     ensure!(!rows.is_empty(), "not a single fix was asked for");
     for method in methods(&rows) {
         let rows = of_method(&rows, method);
@@ -63,12 +64,12 @@ pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    fn rows(wrong: usize, usable: bool) -> Vec<Record> {
-        let row = |k| Record {
+    fn rows(wrong: usize, usable: bool) -> Vec<EpochRecord> {
+        let row = |k| EpochRecord {
             method: "m",
             along_m: if k < wrong { 5.0 } else { 0.1 },
             usable: usable || k >= wrong + 3,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         (0..100).map(row).collect()
     }
@@ -78,12 +79,17 @@ mod tests {
         let base = Condition::default();
         assert!(check(&rows(2, true), &base).is_ok());
         assert!(check(&rows(7, false), &base).is_ok());
-        let reason = |rows: &[Record]| check(rows, &base).unwrap_err().to_string();
+        let reason = |rows: &[EpochRecord]| check(rows, &base).unwrap_err().to_string();
         assert!(reason(&rows(20, true)).contains("20.0 % are wrong"));
         assert!(reason(&rows(60, true)).contains("median error is 5.00 m"));
         assert!(reason(&[]).contains("not a single fix"));
         let mut field = rows(2, false);
-        field.push(Record { method: "m", place: Scene::OpenField.name(), usable: true, ..Record::default() });
+        field.push(EpochRecord {
+            method: "m",
+            place: Scene::OpenField.name(),
+            usable: true,
+            ..EpochRecord::default()
+        });
         assert!(reason(&field).contains("open field"));
         let mut few = rows(0, true);
         few[1..].iter_mut().for_each(|r| r.usable = false);

@@ -9,12 +9,12 @@ use echofix_core::odometry::Trajectory;
 use rayon::prelude::*;
 
 use super::crowd::map::CrowdMap;
-use super::crowd::uploads::{self, Sending};
+use super::crowd::uploads::{self, SentForm};
 use super::floor::Floor;
 use super::map::{MapKey, Movers, RadarMap, on_grid};
 
 /// Maps of one day and a drive on another.
-pub struct World {
+pub struct EvaluationWorld {
     /// Its number.
     pub index: usize,
     /// What kind of place it is.
@@ -48,7 +48,7 @@ pub struct Drives {
     pub localized: Drive,
 }
 
-impl World {
+impl EvaluationWorld {
     /// Maps the first so many drives for each of `crowds`, and lays out the truth of the other.
     ///
     /// # Errors
@@ -56,7 +56,7 @@ impl World {
     pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
         let Drives { place, name, mapping, localized } = drives;
         let grid = grid_of(&localized)?;
-        let both: Vec<_> = [Movers::Kept, Movers::Dropped]
+        let both: Vec<_> = [Movers::Included, Movers::Excluded]
             .into_par_iter()
             .map(|movers| {
                 let key = MapKey { world: index, contributors: 0, movers };
@@ -131,13 +131,13 @@ fn grown(
     max_sigma_m: f64,
 ) -> anyhow::Result<Vec<RadarMap>> {
     let most = crowds.iter().copied().max().unwrap_or(0);
-    let mut crowd = (map.key.movers == Movers::Dropped && most > 1).then(|| CrowdMap::new(map.zone()));
+    let mut crowd = (map.key.movers == Movers::Excluded && most > 1).then(|| CrowdMap::new(map.zone()));
     let mut kept = Vec::new();
     for (before, drive) in drives.iter().take(most).enumerate() {
         let (contributor, count) = (before as u64, before + 1);
         if let Some(crowd) = &mut crowd {
             for upload in
-                uploads::cut(drive, map.zone(), Sending { max_sigma_m, ..Sending::of(contributor) })?
+                uploads::cut(drive, map.zone(), SentForm { max_sigma_m, ..SentForm::of(contributor) })?
             {
                 crowd.offer(&upload);
             }

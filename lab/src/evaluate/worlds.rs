@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use echofix_sim::Scene;
 
 use super::condition::Condition;
-use super::world::World;
+use super::world::EvaluationWorld;
 use super::{logged, simulated};
 
 /// A simulated place.
@@ -62,7 +62,12 @@ impl Places {
     ///
     /// # Errors
     /// When a log cannot be read, or a drive cannot be mapped from.
-    pub fn world(&self, index: usize, conditions: &[Condition], max_sigma_m: f64) -> anyhow::Result<World> {
+    pub fn world(
+        &self,
+        index: usize,
+        conditions: &[Condition],
+        max_sigma_m: f64,
+    ) -> anyhow::Result<EvaluationWorld> {
         let crowds: Vec<usize> = conditions.iter().map(|c| c.contributors).collect();
         let most = crowds.iter().copied().max().unwrap_or(1);
         let drives = match self {
@@ -72,7 +77,7 @@ impl Places {
             },
             Self::Logs { drive, map, known } => logged::drives(drive, map, *known)?,
         };
-        World::new(index, drives, &crowds, max_sigma_m)
+        EvaluationWorld::new(index, drives, &crowds, max_sigma_m)
     }
 
     /// In words.

@@ -9,10 +9,10 @@ use serde::Serialize;
 use crate::evaluate::condition::Condition;
 use crate::evaluate::floor::Floor;
 use crate::evaluate::map::RadarMap;
-use crate::evaluate::method::{Name, Windows};
-use crate::evaluate::record::Record;
-use crate::evaluate::run::{Plan, run};
-use crate::evaluate::world::{World, grid_of};
+use crate::evaluate::method::{MethodName, Windows};
+use crate::evaluate::record::EpochRecord;
+use crate::evaluate::run::{EvaluationPlan, run};
+use crate::evaluate::world::{EvaluationWorld, grid_of};
 use echofix_harness::percentiles::Percentiles;
 
 /// Prepared windows of one map, mebibytes.
@@ -22,13 +22,18 @@ const WINDOWS_MIB: u64 = 256;
 ///
 /// # Errors
 /// When the drive has no known poses.
-pub fn fixes(map: &RadarMap, drive: &Drive, method: Name, most: usize) -> anyhow::Result<Vec<Record>> {
+pub fn fixes(
+    map: &RadarMap,
+    drive: &Drive,
+    method: MethodName,
+    most: usize,
+) -> anyhow::Result<Vec<EpochRecord>> {
     let grid = grid_of(drive)?;
     let base = Condition { contributors: map.key.contributors, ..Condition::default() };
     let place = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
     let floor = Floor::of(&grid, &[])?;
-    let world = World::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
-    let plan = Plan {
+    let world = EvaluationWorld::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
+    let plan = EvaluationPlan {
         every_s: 1.0,
         epochs: most,
         swept: most,
@@ -61,14 +66,14 @@ pub struct Summary {
 
 impl Summary {
     /// Of some fixes.
-    pub fn of(rows: &[Record]) -> Self {
+    pub fn of(rows: &[EpochRecord]) -> Self {
         let share = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
         let usable = rows.iter().filter(|row| row.usable);
         let wrong_usable = usable.clone().filter(|row| row.wrong()).count();
         let usable = usable.count();
         Self {
             fixes: rows.len(),
-            p95_m: Percentiles::of(rows.iter().map(Record::error_m)).map_or(f64::NAN, |p| p.p95),
+            p95_m: Percentiles::of(rows.iter().map(EpochRecord::error_m)).map_or(f64::NAN, |p| p.p95),
             wrong: share(rows.iter().filter(|row| row.wrong()).count(), rows.len()),
             usable: share(usable, rows.len()),
             wrong_usable: share(wrong_usable, usable),
@@ -95,10 +100,10 @@ mod tests {
 
     #[test]
     fn wrong_ones_are_counted_among_all_and_among_the_usable() {
-        let row = |k: usize| Record {
+        let row = |k: usize| EpochRecord {
             along_m: if k < 10 { 3.0 } else { 0.2 },
             usable: k.is_multiple_of(2),
-            ..Record::default()
+            ..EpochRecord::default()
         };
         let rows: Vec<_> = (0..100).map(row).collect();
         let summary = Summary::of(&rows);

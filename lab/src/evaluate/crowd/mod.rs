@@ -58,14 +58,14 @@ fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -
 }
 
 /// A part of the report, and the lines of its table for machines.
-pub struct Told {
+pub struct CrowdSection {
     /// For people.
     pub section: Section,
     /// For machines.
     pub lines: Value,
 }
 
-impl Told {
+impl CrowdSection {
     fn new<T: Serialize>(section: Section, lines: &[T]) -> anyhow::Result<Self> {
         Ok(Self { section, lines: serde_json::to_value(lines)? })
     }
@@ -87,7 +87,7 @@ impl Told {
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Told>> {
+pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<CrowdSection>> {
     Ok(Some(match experiment {
         Experiment::Year => year::run(scale)?,
         Experiment::Attacks => attacks::run(scale)?,

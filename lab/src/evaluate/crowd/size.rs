@@ -10,13 +10,13 @@ use serde::Serialize;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, Upload, cut};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, VehicleUpload, cut};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::cells;
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
-use crate::evaluate::record::Record;
+use crate::evaluate::method::MethodName;
+use crate::evaluate::record::EpochRecord;
 use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 
 const SIDE: u32 = CELLS_PER_TILE as u32;
@@ -82,7 +82,7 @@ impl Form {
     }
 
     /// The upload as the map gets it.
-    fn read(self, upload: &Upload) -> Upload {
+    fn read(self, upload: &VehicleUpload) -> VehicleUpload {
         let mut upload = upload.clone();
         if self == Self::Wide {
             for share in upload.contribution.tiles.values_mut() {
@@ -111,7 +111,7 @@ fn widened(cells: &[CellHits], index: impl Fn(u32, u32) -> u32) -> Vec<CellHits>
 /// Bytes of all uploads of a form, and the fixes on the map that they make.
 struct Worth {
     bytes: u64,
-    fixes: Vec<Record>,
+    fixes: Vec<EpochRecord>,
 }
 
 /// Every form's worth in one town, and the kilometres that its contributors drove.
@@ -125,9 +125,9 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
         let uploads = mapping
             .iter()
             .zip(0..)
-            .map(|(drive, who)| cut(drive, zone, Sending { steps: form.steps(), ..Sending::of(who) }));
+            .map(|(drive, who)| cut(drive, zone, SentForm { steps: form.steps(), ..SentForm::of(who) }));
         let uploads = uploads.collect::<anyhow::Result<Vec<_>>>()?.concat();
-        let fixes = fixes(&served(*form, &uploads, zone), &localized, Name::Echofix, most)?;
+        let fixes = fixes(&served(*form, &uploads, zone), &localized, MethodName::Echofix, most)?;
         Ok(Worth { bytes: uploads.iter().map(|upload| form.bytes(&upload.contribution)).sum(), fixes })
     };
     let worths = FORMS.par_iter().map(worth).collect::<anyhow::Result<_>>()?;
@@ -135,18 +135,18 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
 }
 
 /// The map that is served of some uploads.
-fn served(form: Form, uploads: &[Upload], zone: Zone) -> RadarMap {
+fn served(form: Form, uploads: &[VehicleUpload], zone: Zone) -> RadarMap {
     let mut map = CrowdMap::new(zone);
     for upload in uploads {
         map.offer(&form.read(upload));
     }
-    let key = MapKey { world: 0, contributors: CONTRIBUTORS as usize, movers: Movers::Dropped };
+    let key = MapKey { world: 0, contributors: CONTRIBUTORS as usize, movers: Movers::Excluded };
     RadarMap::of_tiles(key, zone, map.published(CONTRIBUTORS as u8, None))
 }
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct SizeLine {
     form: String,
     kilobytes_a_km: f64,
     /// 95 % error relative to the finest form's.
@@ -157,7 +157,7 @@ struct Line {
     summary: Summary,
 }
 
-impl Line {
+impl SizeLine {
     fn of(which: usize, all: &[(Vec<Worth>, f64)]) -> Self {
         let way_km: f64 = all.iter().map(|(_, km)| km).sum();
         let bytes: u64 = all.iter().map(|(worths, _)| worths[which].bytes).sum();
@@ -169,7 +169,7 @@ impl Line {
             right.map(move |(ours, finest)| ((ours.error_m(), finest.error_m()), (town, ours.block)))
         });
         let ratios = (which > 0).then(|| ratios(&pairs.collect::<Vec<_>>(), 0.95)).flatten();
-        let rows: Vec<Record> = all.iter().flat_map(|(worths, _)| worths[which].fixes.clone()).collect();
+        let rows: Vec<EpochRecord> = all.iter().flat_map(|(worths, _)| worths[which].fixes.clone()).collect();
         Self {
             form: FORMS[which].words(),
             kilobytes_a_km: bytes as f64 / 1e3 / way_km,
@@ -187,7 +187,7 @@ impl Line {
     }
 }
 
-const WORDS: &str = "## Upload size
+const WORDS: &str = "## VehicleUpload size
 
 What the uploads of three contributors take, by kilometre that each drives, and what the map that is served of them is then worth to
 another vehicle days later. The same questions are asked of every map; the ratios compare its errors with those of the finest one where
@@ -200,11 +200,11 @@ they lie tells it next to nothing.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let towns = scale.towns(4);
     let most = if scale.quick { 100 } else { 250 };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, most)).collect::<anyhow::Result<_>>()?;
-    let lines: Vec<_> = (0..FORMS.len()).map(|which| Line::of(which, &all)).collect();
+    let lines: Vec<_> = (0..FORMS.len()).map(|which| SizeLine::of(which, &all)).collect();
     let columns = [
         "",
         "kB a kilometre",
@@ -216,8 +216,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         "usable",
         "wrong, of the usable",
     ];
-    let table = table(&columns, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Upload, WORDS, &table, towns, &lines)
+    let table = table(&columns, lines.iter().map(SizeLine::cells));
+    CrowdSection::of_table(Experiment::Upload, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]

@@ -15,12 +15,12 @@ use serde::Serialize;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, cut};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, cut};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
-use crate::evaluate::record::Record;
+use crate::evaluate::method::MethodName;
+use crate::evaluate::record::EpochRecord;
 
 /// Contributors of the maps; a bit each in a mask.
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
@@ -122,7 +122,7 @@ impl Hits {
 }
 
 /// A town that somebody drives through who is not of the crowd.
-struct Visit {
+struct SupportVisit {
     city: City,
     drive: Drive,
     /// Fixes asked for, at most.
@@ -131,7 +131,7 @@ struct Visit {
     made_up: Vec<CellIndex>,
 }
 
-impl Visit {
+impl SupportVisit {
     fn new(seed: u64, most: usize) -> anyhow::Result<Self> {
         let city = town::small(seed)?;
         let drive = town::drive(&city, CROWDS[CROWDS.len() - 1] + 3, Way::Survey, 90_000)?;
@@ -157,9 +157,9 @@ impl Visit {
         contributors: u32,
         tiles: &BTreeMap<TileId, Tile>,
         hits: &Hits,
-    ) -> anyhow::Result<Outcome> {
+    ) -> anyhow::Result<SupportOutcome> {
         let least = rule.least(contributors);
-        let mut outcome = Outcome { made_up: [0, self.made_up.len()], ..Outcome::default() };
+        let mut outcome = SupportOutcome { made_up: [0, self.made_up.len()], ..SupportOutcome::default() };
         let mut served = BTreeMap::new();
         for (id, tile) in tiles {
             let is_served = |index: u32| least == 0 || hits.serves(rule, least, id.cell(index), 0);
@@ -171,33 +171,33 @@ impl Visit {
         // Who makes them up is one contributor more.
         let least = rule.least(contributors + 1);
         outcome.made_up[0] = self.made_up.iter().filter(|at| hits.serves(rule, least, **at, 1)).count();
-        let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Dropped };
+        let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Excluded };
         let served = RadarMap::of_tiles(key, self.city.site().zone(), served);
-        outcome.fixes = fixes(&served, &self.drive, Name::Echofix, self.most)?;
+        outcome.fixes = fixes(&served, &self.drive, MethodName::Echofix, self.most)?;
         Ok(outcome)
     }
 }
 
 /// What comes of a rule.
 #[derive(Default)]
-struct Outcome {
+struct SupportOutcome {
     /// Cells that are served, of all.
     served: [usize; 2],
     /// Made-up cells that are served, of all.
     made_up: [usize; 2],
-    fixes: Vec<Record>,
+    fixes: Vec<EpochRecord>,
 }
 
 /// What comes of each rule, crowd by crowd.
-fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
-    let visit = Visit::new(seed, most)?;
+fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<SupportOutcome>>> {
+    let visit = SupportVisit::new(seed, most)?;
     let zone = visit.city.site().zone();
     let mut map = CrowdMap::new(zone);
     let mut hits = Hits::default();
     let mut outcomes = Vec::new();
     for who in 0..CROWDS[CROWDS.len() - 1] {
         let drive = town::drive(&visit.city, who, Way::Survey, u64::from(who))?;
-        for upload in cut(&drive, zone, Sending::of(u64::from(who)))? {
+        for upload in cut(&drive, zone, SentForm::of(u64::from(who)))? {
             for (id, share) in map.offer(&upload).into_iter().flatten() {
                 share.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
             }
@@ -213,7 +213,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct SupportLine {
     contributors: u32,
     rule: String,
     /// Share of the cells that are served.
@@ -224,13 +224,13 @@ struct Line {
     summary: Summary,
 }
 
-impl Line {
-    fn of(contributors: u32, rule: Rule, outcomes: &[&Outcome]) -> Self {
-        let share = |of: fn(&Outcome) -> [usize; 2]| {
+impl SupportLine {
+    fn of(contributors: u32, rule: Rule, outcomes: &[&SupportOutcome]) -> Self {
+        let share = |of: fn(&SupportOutcome) -> [usize; 2]| {
             let sum = |k: usize| outcomes.iter().map(|outcome| of(outcome)[k]).sum::<usize>();
             sum(0) as f64 / sum(1).max(1) as f64
         };
-        let rows: Vec<Record> = outcomes.iter().flat_map(|outcome| outcome.fixes.clone()).collect();
+        let rows: Vec<EpochRecord> = outcomes.iter().flat_map(|outcome| outcome.fixes.clone()).collect();
         Self {
             contributors,
             rule: rule.words(),
@@ -272,7 +272,7 @@ const COLUMNS: [&str; 8] = [
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let towns = scale.towns(1);
     let most = if scale.quick { 60 } else { 200 };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, most)).collect::<anyhow::Result<_>>()?;
@@ -280,11 +280,11 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     for (crowd, contributors) in CROWDS.into_iter().enumerate() {
         for (which, rule) in RULES.into_iter().enumerate() {
             let outcomes: Vec<_> = all.iter().map(|town| &town[crowd][which]).collect();
-            lines.push(Line::of(contributors, rule, &outcomes));
+            lines.push(SupportLine::of(contributors, rule, &outcomes));
         }
     }
-    let table = table(&COLUMNS, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Support, WORDS, &table, towns, &lines)
+    let table = table(&COLUMNS, lines.iter().map(SupportLine::cells));
+    CrowdSection::of_table(Experiment::Support, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]
