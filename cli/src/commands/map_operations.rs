@@ -35,7 +35,7 @@ pub enum MapOperation {
         /// The last epoch that counts.
         epoch: u64,
     },
-    /// Take back what a contributor told so far, or one upload or imported file.
+    /// Exclude what a contributor has uploaded so far, or one upload or imported file.
     #[command(group = clap::ArgGroup::new("whose").required(true))]
     Revoke {
         /// The contributor's pseudonym, as its uploads name it.
@@ -131,7 +131,7 @@ fn history(body: &Value) {
             (&event["first"], &event["last"], event["date"].as_str().unwrap_or_default());
         let kind = event["kind"].as_str().unwrap_or_default().replace('_', " ");
         let epochs = if first == last { last.to_string() } else { format!("{first}-{last}") };
-        let told = if event["uploads"].is_u64() {
+        let what = if event["uploads"].is_u64() {
             format!("{} {kind} of {} contributors", event["uploads"], event["contributors"])
         } else if event["tiles"].is_u64() {
             format!("{kind} of {} tiles, file {}", event["tiles"], event["file"].as_str().unwrap_or_default())
@@ -145,7 +145,7 @@ fn history(body: &Value) {
         let back = [("taken_back", "taken back"), ("takes_back", "taken back by it")];
         let back = back.iter().find_map(|(key, words)| Some((event[*key].as_u64()?, words)));
         let back = back.filter(|(count, _)| *count > 0).map(|(count, words)| format!("; {count} {words}"));
-        println!("{epochs:>15}  {date}  {told}{}", back.unwrap_or_default());
+        println!("{epochs:>15}  {date}  {what}{}", back.unwrap_or_default());
     }
 }
 

@@ -20,7 +20,7 @@ pub struct Args {
     end_with_stdin: bool,
 }
 
-/// Runs the subcommand until the process is told to end.
+/// Runs the subcommand until the process is asked to end.
 ///
 /// # Errors
 /// When the configuration is wrong, a port is taken or the store does not open.
@@ -45,11 +45,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Resolves when standard input ends.
 async fn stdin_closed() {
-    let (closed, told) = oneshot::channel();
+    let (closed, ended) = oneshot::channel();
     // Not one of the runtime's threads: nothing wakes it before the process ends.
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
         closed.send(())
     });
-    let _ = told.await;
+    let _ = ended.await;
 }

@@ -62,7 +62,7 @@ impl InProcessService {
     /// # Errors
     /// When the map does not open.
     pub(super) fn open(town: &BenchTown, folder: &Path) -> anyhow::Result<Self> {
-        // As the service was told: under another policy the map would be folded anew.
+        // As the service was set: under another policy the map would be folded anew.
         let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {

@@ -142,7 +142,7 @@ pub struct Figures {
     pub lost: Lost,
     /// Horizontal errors of all answers, metres.
     pub error_m: Option<Percentiles>,
-    /// Share of the answers that are usable.
+    /// Fraction of the answers that are usable.
     pub usable_share: f64,
 }
 

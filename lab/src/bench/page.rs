@@ -150,7 +150,7 @@ fn of_lost(lost: &Lost) -> String {
     format!(
         "\n## Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
          wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
-         {misled} that are not. Search, climb and verdict take {ms} ms (50 / 95 / 99 %).\n"
+         {misled} that are not. Search, refinement and verdict take {ms} ms (50 / 95 / 99 %).\n"
     )
 }
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use super::record::EpochRecord;
-use super::statistics::bootstrap::{Estimate, percentiles, share};
+use super::statistics::bootstrap::{Estimate, fraction, percentiles};
 
-/// Shares of the epochs that a percentile is given for.
-const SHARES: [f64; 3] = [0.5, 0.95, 0.99];
+/// Fractions of the epochs that a percentile is given for.
+const FRACTIONS: [f64; 3] = [0.5, 0.95, 0.99];
 /// Batches this far apart share no scan, microseconds.
 const APART_US: i64 = 5_000_000;
 
@@ -41,7 +41,7 @@ pub fn cluster(row: &EpochRecord) -> (&str, usize) {
 
 /// Median, 95 % and 99 %; empty of nothing.
 pub fn figures(rows: &[&EpochRecord], quantity: Quantity) -> Vec<Estimate> {
-    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &SHARES)
+    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &FRACTIONS)
 }
 
 /// How one figure compares with another, with its interval.
@@ -78,11 +78,11 @@ pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
     if low.is_nan() { String::new() } else { format!(" ({low:.digits$} - {high:.digits$})") }
 }
 
-/// The share of the rows that are hits, in percent with its interval.
+/// The fraction of the rows that are hits, in percent with its interval.
 ///
 /// Where no row is one, the upper bound is the rule of three over the batches that share no scan.
 pub fn percent(rows: &[&EpochRecord], hit: impl Fn(&EpochRecord) -> bool) -> String {
-    let Some(mut found) = share(rows.iter().map(|row| (hit(row), cluster(row)))) else {
+    let Some(mut found) = fraction(rows.iter().map(|row| (hit(row), cluster(row)))) else {
         return "-".to_owned();
     };
     if found.value == 0.0 {

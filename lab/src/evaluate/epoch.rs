@@ -64,7 +64,7 @@ pub fn epochs(world: &EvaluationWorld, every_s: f64, most: usize, swept: usize) 
         }
     }
     let chosen = thinned(times.len(), most);
-    let of_all = |share: usize| thinned(chosen.len(), share).into_iter().collect::<BTreeSet<_>>();
+    let of_all = |count: usize| thinned(chosen.len(), count).into_iter().collect::<BTreeSet<_>>();
     let swept = of_all(swept);
     let epoch = |(number, index): (usize, &usize)| Epoch {
         number,

@@ -34,7 +34,7 @@ impl Forecaster {
         Self { windows: Arc::clone(windows), assessor: Assessor::default() }
     }
 
-    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true place.
+    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true position.
     ///
     /// # Errors
     /// When the world has no such map.
@@ -48,10 +48,10 @@ impl Forecaster {
         let Some(truth) = world.truth.at(epoch.time_us) else { return Ok(()) };
         let map = world.map(base.contributors, Movers::Excluded)?;
         let (search, integrity) = (Search::default(), Integrity::default());
-        let place = [truth.x_m, truth.y_m];
-        let frame = MapSquare::around(map.zone(), place, search.extent_m, REACH_M);
+        let position = [truth.x_m, truth.y_m];
+        let frame = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
         let tiles = self.windows.weights(map, frame);
-        let here = self.assessor.assess(frame, &tiles, place, &search, &integrity);
+        let here = self.assessor.assess(frame, &tiles, position, &search, &integrity);
         let noise =
             here.sigma_horizontal_m().powi(2) - 2.0 * integrity.map_variance(base.contributors as f64);
         for row in rows.iter_mut().filter(|row| row.condition == *base) {
@@ -71,14 +71,14 @@ const BINS: usize = 5;
 #[must_use]
 pub fn section(rows: &[EpochRecord], base: &Condition) -> String {
     let rows = forecast(rows, base);
-    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.site_kind)).collect();
     let correlated = rank(&streets).map_or("-".to_owned(), |value| format!("{value:.2}"));
     [
-        "## Localizability\n\nWhat the map alone expects of a fix at the true place, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
+        "## Localizability\n\nWhat the map alone expects of a fix at the true position, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
         &by_sigma(&streets),
         &format!("Rank correlation of expected sigma and realised error: {correlated}.\n"),
         "Streets that are made to be mistaken, and towns: what was expected, and what came of it.\n",
-        &by_place(&rows),
+        &by_site_kind(&rows),
     ]
     .join("\n")
 }
@@ -87,9 +87,9 @@ pub fn section(rows: &[EpochRecord], base: &Condition) -> String {
 #[must_use]
 pub fn figures(rows: &[EpochRecord], base: &Condition) -> Value {
     let rows = forecast(rows, base);
-    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.site_kind)).collect();
     let mistaken = |scene: bool| {
-        let of = rows.iter().filter(|row| is_scene(row.place) == scene);
+        let of = rows.iter().filter(|row| is_scene(row.site_kind) == scene);
         let usable = of.clone().filter(|row| row.forecast == "USABLE").count();
         json!({ "fixes": of.count(), "expected_usable": usable })
     };
@@ -133,17 +133,17 @@ fn by_sigma(rows: &[&EpochRecord]) -> String {
     table
 }
 
-fn by_place(rows: &[&EpochRecord]) -> String {
-    let places: BTreeSet<&str> = rows.iter().map(|row| row.place).collect();
-    let mut table = "| place | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
-    for place in places {
-        let here: Vec<&EpochRecord> = rows.iter().copied().filter(|row| row.place == place).collect();
+fn by_site_kind(rows: &[&EpochRecord]) -> String {
+    let site_kinds: BTreeSet<&str> = rows.iter().map(|row| row.site_kind).collect();
+    let mut table = "| site | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
+    for site_kind in site_kinds {
+        let here: Vec<&EpochRecord> = rows.iter().copied().filter(|row| row.site_kind == site_kind).collect();
         let expected = |word| cells::percent(&here, |row| row.forecast == word);
         let trusted: Vec<&EpochRecord> =
             here.iter().copied().filter(|row| row.forecast == "USABLE").collect();
         let _ = writeln!(
             table,
-            "| {place} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {site_kind} | {} | {} | {} | {} | {} | {} | {} |",
             here.len(),
             expected("USABLE"),
             expected("AMBIGUOUS"),
@@ -160,10 +160,16 @@ fn by_place(rows: &[&EpochRecord]) -> String {
 mod tests {
     use super::*;
 
-    fn row(place: &'static str, forecast: &'static str, sigma_m: f64, error_m: f64) -> EpochRecord {
+    fn row(site_kind: &'static str, forecast: &'static str, sigma_m: f64, error_m: f64) -> EpochRecord {
         let (net_m, forecast_m) = (Some(error_m), Some(sigma_m));
-        let of =
-            EpochRecord { place, forecast, forecast_m, net_m, along_m: error_m, ..EpochRecord::default() };
+        let of = EpochRecord {
+            site_kind,
+            forecast,
+            forecast_m,
+            net_m,
+            along_m: error_m,
+            ..EpochRecord::default()
+        };
         EpochRecord { usable: error_m < 1.0, method: MethodName::Echofix.word(), ..of }
     }
 

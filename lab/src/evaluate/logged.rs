@@ -1,4 +1,4 @@
-//! Worlds of recorded drives: any drive logs take the place of simulated ones.
+//! Worlds of recorded drives: any drive logs stand for simulated ones.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use echofix_core::odometry::Trajectory;
 use super::map::on_grid;
 use super::world::Drives;
 
-/// What kind of place a log is.
+/// What kind of site a log is.
 pub const LOG: &str = "log";
 
 /// A drive to localize on the map of others.
@@ -27,7 +27,7 @@ pub fn drives(localized: &Path, mapping: &[PathBuf], known_odometry: bool) -> an
         drive.odometry = of_known_poses(&drive)?;
     }
     Ok(Drives {
-        place: LOG,
+        site_kind: LOG,
         name: localized.display().to_string(),
         mapping: mapping.iter().map(|path| read(path)).collect::<anyhow::Result<_>>()?,
         localized: drive,

@@ -94,7 +94,7 @@ impl RadarMap {
             let trajectory = on_grid(&grid, poses)?;
             let from = scans.partition_point(|s| s.time_us < poses[0].time_us);
             let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
-            // Movers are gone already, and odometry told them better than absolute poses would.
+            // Movers are gone already, and odometry tells them better than absolute poses would.
             let gate = Movers::Included.gate();
             gathering.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
             day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
@@ -105,10 +105,10 @@ impl RadarMap {
                 drive.vehicle
             )
         })?;
-        for (id, share) in gathering.finish(0).tiles {
+        for (id, evidence) in gathering.finish(0).tiles {
             // A drive goes in at once, so that no ledger has to remember it.
             let pass = Pass { day, contributor };
-            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &share);
+            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &evidence);
         }
         Ok(())
     }

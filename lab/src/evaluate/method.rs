@@ -105,7 +105,7 @@ impl MethodName {
             Self::Paper => "paper",
             Self::Gated => "paper, without movers",
             Self::Weights => "log weights, highest hypothesis",
-            Self::Rigid => "log weights, climbed, rigid batch",
+            Self::Rigid => "log weights, refined, rigid batch",
             Self::Echofix => "echofix",
             Self::NoDoppler => "echofix without radial speeds",
             Self::Exact => "echofix, exact search",

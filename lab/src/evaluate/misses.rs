@@ -9,7 +9,7 @@ use super::record::EpochRecord;
 use super::section::Section;
 use echofix_harness::percentiles::Percentiles;
 
-/// Answers this near each other came from one hill, metres.
+/// Answers this near each other came from one candidate, metres.
 const SAME_M: f64 = 0.1;
 
 /// Two answers to one question.
@@ -31,13 +31,13 @@ impl Pair<'_> {
 /// The section: both searches were asked the same questions.
 pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let pairs = pairs(rows, base);
-    let mut by_place: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();
+    let mut by_site_kind: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();
     for pair in &pairs {
-        by_place.entry(pair.fast.place).or_default().push(pair);
+        by_site_kind.entry(pair.fast.site_kind).or_default().push(pair);
     }
     let columns = [
         "questions",
-        "another hill",
+        "another candidate",
         "of them usable",
         "of those wrong by > 1 m",
         "usable by the exact search, lost by the fast one",
@@ -45,14 +45,14 @@ pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
         "exact, ms 50 / 99 %",
     ];
     let mut text = format!(
-        "## Does the fast search find the maximum?\n\n`fast` looks at the best hills of a coarse image; `bounded` proves its maximum. Answers more than {:.0} cm apart \
-         came from different hills.\n\n| | {} |\n|{}\n",
+        "## Does the fast search find the maximum?\n\n`fast` looks at the best candidates of a coarse image; `bounded` proves its maximum. Answers more than {:.0} cm apart \
+         came from different candidates.\n\n| | {} |\n|{}\n",
         100.0 * SAME_M,
         columns.join(" | "),
         "---|".repeat(columns.len() + 1)
     );
-    for (place, pairs) in &by_place {
-        let _ = writeln!(text, "| {place} | {} |", line(pairs).join(" | "));
+    for (site_kind, pairs) in &by_site_kind {
+        let _ = writeln!(text, "| {site_kind} | {} |", line(pairs).join(" | "));
     }
     let all: Vec<_> = pairs.iter().collect();
     let _ = writeln!(text, "| all | {} |", line(&all).join(" | "));
@@ -95,7 +95,7 @@ mod tests {
     #[test]
     fn answers_to_one_question_are_compared() {
         let row = |method: MethodName, epoch: usize, along_m: f64, usable: bool| EpochRecord {
-            place: "town",
+            site_kind: "town",
             method: method.word(),
             epoch,
             along_m,

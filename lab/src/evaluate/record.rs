@@ -13,8 +13,9 @@ pub const WRONG_M: f64 = 1.0;
 /// One fix beside the truth.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct EpochRecord {
-    /// What kind of place: a town, a scene, a log.
-    pub place: &'static str,
+    /// What kind of site: a town, a scene, a log.
+    #[serde(rename = "place")]
+    pub site_kind: &'static str,
     /// MethodName of the world.
     pub world: String,
     /// Epoch within the world, from 0.
@@ -88,13 +89,13 @@ pub struct EpochRecord {
     pub margin: Option<f64>,
     /// Milliseconds of the fix.
     pub ms: f64,
-    /// What the map alone expects of a fix at the true place; empty where it was not asked.
+    /// What the map alone expects of a fix at the true position; empty where it was not asked.
     pub forecast: &'static str,
     /// Its horizontal sigma, without the map's own error, metres.
     pub forecast_m: Option<f64>,
     /// Its sigma along the weakest axis, with the map's own error, metres.
     pub forecast_weakest_m: Option<f64>,
-    /// Its margin over the best place elsewhere, nats.
+    /// Its margin over the best pose elsewhere, nats.
     pub forecast_margin: Option<f64>,
 }
 
@@ -189,8 +190,8 @@ fn nees(truth: &Pose2, answer: &Pose2, covariance: [[f64; 3]; 3]) -> (Option<f64
         wrap_angle(answer.yaw_rad - truth.yaw_rad),
     );
     let all = Matrix3::from_fn(|i, j| covariance[i][j]);
-    let place: Matrix2<f64> = all.fixed_view::<2, 2>(0, 0).into();
-    let two = place.cholesky().map(|c| {
+    let horizontal: Matrix2<f64> = all.fixed_view::<2, 2>(0, 0).into();
+    let two = horizontal.cholesky().map(|c| {
         let e = Vector2::new(error.x, error.y);
         e.dot(&c.solve(&e))
     });
@@ -204,10 +205,19 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
     use std::time::Duration;
 
-    fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> Outcome {
+    fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> MethodAnswer {
         let elapsed = Duration::from_millis(7);
         let (protection, second, margin) = (None, 0.5, Some(20.0));
-        Outcome { pose, covariance, usable: true, verdict: "USABLE", protection, second, margin, elapsed }
+        MethodAnswer {
+            pose,
+            covariance,
+            usable: true,
+            verdict: "USABLE",
+            protection,
+            second,
+            margin,
+            elapsed,
+        }
     }
 
     #[test]

@@ -143,7 +143,7 @@ fn fix(
     let reference = world.reference.at(epoch.time_us);
     let facts = Facts { truth, reference, drifted: *drifted, scale: world.scale, floor };
     let row = EpochRecord {
-        place: world.place,
+        site_kind: world.site_kind,
         world: world.name.clone(),
         epoch: epoch.number,
         block: epoch.block,

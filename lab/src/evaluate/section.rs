@@ -53,7 +53,7 @@ impl Section {
 
 /// Rows of a condition: of the town or log, not of the scenes.
 pub fn under<'a>(rows: &[&'a EpochRecord], condition: &Condition, swept: bool) -> Vec<&'a EpochRecord> {
-    let in_town = |r: &&&EpochRecord| !is_scene(r.place);
+    let in_town = |r: &&&EpochRecord| !is_scene(r.site_kind);
     let asked = |r: &&&EpochRecord| r.condition == *condition && (!swept || r.swept);
     rows.iter().filter(in_town).filter(asked).copied().collect()
 }

@@ -143,12 +143,12 @@ fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
     let all: Vec<&EpochRecord> = rows.iter().copied().filter(|r| r.condition == base).collect();
     let mut groups = Groups::new();
     for (method, rows) in by_method(&all) {
-        let mut places: Vec<&str> = rows.iter().map(|r| r.place).collect();
-        places.sort_unstable();
-        places.dedup();
-        for place in places {
-            let here = rows.iter().copied().filter(|r| r.place == place).collect();
-            groups.push((format!("{method}, {place}"), here));
+        let mut site_kinds: Vec<&str> = rows.iter().map(|r| r.site_kind).collect();
+        site_kinds.sort_unstable();
+        site_kinds.dedup();
+        for site_kind in site_kinds {
+            let here = rows.iter().copied().filter(|r| r.site_kind == site_kind).collect();
+            groups.push((format!("{method}, {site_kind}"), here));
         }
     }
     let curves: Vec<(Curve, String)> = by_method(&all)

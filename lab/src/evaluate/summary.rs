@@ -29,7 +29,7 @@ pub fn of(
             let streets = *experiment == Experiment::Ambiguity;
             let of_all = |r: &&EpochRecord| {
                 let everywhere = matches!(experiment, Experiment::Headline | Experiment::Ambiguity);
-                r.condition == condition && is_scene(r.place) == streets && (everywhere || r.swept)
+                r.condition == condition && is_scene(r.site_kind) == streets && (everywhere || r.swept)
             };
             let rows: Vec<&EpochRecord> = rows.iter().filter(of_all).collect();
             for method in methods(&rows) {
@@ -73,9 +73,9 @@ mod tests {
     #[test]
     fn figures_come_by_condition_and_method() {
         let base = Condition::default();
-        let row = |method, place, along_m| EpochRecord {
+        let row = |method, site_kind, along_m| EpochRecord {
             method,
-            place,
+            site_kind,
             along_m,
             usable: true,
             ..EpochRecord::default()

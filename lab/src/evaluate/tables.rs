@@ -167,7 +167,7 @@ pub fn covariance(groups: &Groups<'_>) -> String {
     })
 }
 
-/// What becomes of answers where places are easily mistaken.
+/// What becomes of answers where positions are easily mistaken.
 pub fn ambiguity(groups: &Groups<'_>) -> String {
     let columns = [
         "fixes",

@@ -17,8 +17,8 @@ use super::map::{MapKey, Movers, RadarMap, on_grid};
 pub struct EvaluationWorld {
     /// Its number.
     pub index: usize,
-    /// What kind of place it is.
-    pub place: &'static str,
+    /// What kind of site it is.
+    pub site_kind: &'static str,
     /// Its name, with the seed or the log's.
     pub name: String,
     /// The drive that is localized.
@@ -38,8 +38,8 @@ pub struct EvaluationWorld {
 
 /// Drives before they become a world.
 pub struct Drives {
-    /// What kind of place they are in.
-    pub place: &'static str,
+    /// What kind of site they are in.
+    pub site_kind: &'static str,
     /// Its name.
     pub name: String,
     /// Those that map, by the order in which they join the map.
@@ -54,7 +54,7 @@ impl EvaluationWorld {
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
     pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
-        let Drives { place, name, mapping, localized } = drives;
+        let Drives { site_kind, name, mapping, localized } = drives;
         let grid = grid_of(&localized)?;
         let both: Vec<_> = [Movers::Included, Movers::Excluded]
             .into_par_iter()
@@ -64,7 +64,7 @@ impl EvaluationWorld {
             })
             .collect::<anyhow::Result<_>>()?;
         let floor = Floor::of(&grid, &mapping)?;
-        Self::with_maps(index, (place, name), localized, floor, both.into_iter().flatten())
+        Self::with_maps(index, (site_kind, name), localized, floor, both.into_iter().flatten())
     }
 
     /// A drive on maps that are there.
@@ -73,7 +73,7 @@ impl EvaluationWorld {
     /// When there is no truth, or it is off the grid.
     pub fn with_maps(
         index: usize,
-        (place, name): (&'static str, String),
+        (site_kind, name): (&'static str, String),
         drive: Drive,
         floor: Floor,
         maps: impl IntoIterator<Item = RadarMap>,
@@ -83,7 +83,7 @@ impl EvaluationWorld {
         let maps = maps.into_iter().map(|map| ((map.key.contributors, map.key.movers), map));
         Ok(Self {
             index,
-            place,
+            site_kind,
             name,
             odometry: drive.odometry.clone(),
             truth: on_grid(&grid, poses)?,
@@ -132,7 +132,7 @@ fn grown(
 ) -> anyhow::Result<Vec<RadarMap>> {
     let most = crowds.iter().copied().max().unwrap_or(0);
     let mut crowd = (map.key.movers == Movers::Excluded && most > 1).then(|| CrowdMap::new(map.zone()));
-    let mut kept = Vec::new();
+    let mut grown_maps = Vec::new();
     for (before, drive) in drives.iter().take(most).enumerate() {
         let (contributor, count) = (before as u64, before + 1);
         if let Some(crowd) = &mut crowd {
@@ -147,11 +147,11 @@ fn grown(
         }
         if crowds.contains(&count) {
             let key = MapKey { contributors: count, ..map.key };
-            kept.push(match &crowd {
+            grown_maps.push(match &crowd {
                 Some(crowd) if count > 1 => crowd.whole(key),
                 _ => map.grown_from(count),
             });
         }
     }
-    Ok(kept)
+    Ok(grown_maps)
 }

@@ -20,7 +20,7 @@ use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::MethodName;
 use crate::evaluate::record::EpochRecord;
 
-/// Contributors that tell of a place before it is served.
+/// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
 /// Days that a bad contributor drives on, where a good one drives on one.
 const BAD_DAYS: u32 = 3;
@@ -143,8 +143,9 @@ impl Stage {
             let [all, quarantined] = &mut course.uploads[usize::from(is_bad)];
             *all += 1;
             *quarantined += usize::from(folded.is_none());
-            let shares = folded.iter().flatten();
-            let cells = shares.flat_map(|(id, share)| share.cells.iter().map(|cell| (*id, cell.index)));
+            let evidence = folded.iter().flatten();
+            let cells =
+                evidence.flat_map(|(id, evidence)| evidence.cells.iter().map(|cell| (*id, cell.index)));
             course.hit[usize::from(is_bad)].extend(cells.filter(|cell| self.wall.contains(cell)));
         }
         Ok(())
@@ -208,7 +209,7 @@ fn words(contributors: u64) -> String {
         "## Bad contributors
 
 {contributors} contributors drive 900 m each, on a day of their own; the bad ones among them on {BAD_DAYS} days. Served is what at least {LEAST}
-contributors told. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
+contributors support. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
 less than 30 cm from it, and in the honest line what of clutter is served there anyway. There the same vehicles drive as often and do
 nothing bad: that is the error before an attack.
 "

@@ -30,9 +30,10 @@ pub fn fixes(
 ) -> anyhow::Result<Vec<EpochRecord>> {
     let grid = grid_of(drive)?;
     let base = Condition { contributors: map.key.contributors, ..Condition::default() };
-    let place = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
+    let kind_and_name = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
     let floor = Floor::of(&grid, &[])?;
-    let world = EvaluationWorld::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
+    let world =
+        EvaluationWorld::with_maps(map.key.world, kind_and_name, drive.clone(), floor, [map.clone()])?;
     let plan = EvaluationPlan {
         every_s: 1.0,
         epochs: most,
@@ -44,7 +45,7 @@ pub fn fixes(
         variants: Vec::new(),
         forecasts: false,
     };
-    // Windows are known by the map's key, which other maps share: none is kept for the next one.
+    // Windows are known by the map's key, which other maps share: none is cached for the next one.
     let windows: Arc<Windows> = Windows::new(WINDOWS_MIB);
     run(&world, &[base], &plan, &windows, &ProgressBar::hidden())
 }
@@ -56,34 +57,34 @@ pub struct Summary {
     pub fixes: usize,
     /// 95 % of the horizontal errors are not above this, metres.
     pub p95_m: f64,
-    /// Share that is wrong by more than a metre.
+    /// Fraction that is wrong by more than a metre.
     pub wrong: f64,
-    /// Share that may be used.
+    /// Fraction that may be used.
     pub usable: f64,
-    /// Of these, the share that is wrong.
+    /// Of these, the fraction that is wrong.
     pub wrong_usable: f64,
 }
 
 impl Summary {
     /// Of some fixes.
     pub fn of(rows: &[EpochRecord]) -> Self {
-        let share = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
+        let fraction = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
         let usable = rows.iter().filter(|row| row.usable);
         let wrong_usable = usable.clone().filter(|row| row.wrong()).count();
         let usable = usable.count();
         Self {
             fixes: rows.len(),
             p95_m: Percentiles::of(rows.iter().map(EpochRecord::error_m)).map_or(f64::NAN, |p| p.p95),
-            wrong: share(rows.iter().filter(|row| row.wrong()).count(), rows.len()),
-            usable: share(usable, rows.len()),
-            wrong_usable: share(wrong_usable, usable),
+            wrong: fraction(rows.iter().filter(|row| row.wrong()).count(), rows.len()),
+            usable: fraction(usable, rows.len()),
+            wrong_usable: fraction(wrong_usable, usable),
         }
     }
 
     /// As a part of a table's line: 95 % error, wrong, usable, wrong of the usable.
     pub fn cells(&self) -> String {
         let Self { p95_m, wrong, usable, wrong_usable, .. } = self;
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
         format!(
             "{:.0} | {} | {} | {}",
             100.0 * p95_m,

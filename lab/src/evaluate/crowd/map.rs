@@ -1,4 +1,4 @@
-//! A map made the service's way: uploads are held against it, moved onto it and folded, or kept out.
+//! A map made the service's way: uploads are compared with it, moved onto it and folded, or kept out.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -52,7 +52,7 @@ impl CrowdMap {
     /// What vetting says of an upload, which is not folded.
     pub fn vet(&mut self, upload: &VehicleUpload) -> Vetted {
         let cells: Vec<_> =
-            upload.contribution.tiles.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
+            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
         let others = OthersEvidence { folded: &self.folded, contributor: upload.pass.contributor };
         self.vetter.vet(&cells, &others, &self.limits)
     }
@@ -65,12 +65,12 @@ impl CrowdMap {
         }
     }
 
-    /// Everything in it, whoever told it.
+    /// Everything in it, whoever contributed it.
     pub fn whole(&self, key: MapKey) -> RadarMap {
         RadarMap::of_tiles(key, self.zone, self.folded.tiles.clone())
     }
 
-    /// Its tiles as they are served: what so many contributors told, decayed to a day counted from the Unix epoch.
+    /// Its tiles as they are served: what so many contributors support, decayed to a day counted from the Unix epoch.
     pub fn published(&self, least: u8, today: Option<u16>) -> BTreeMap<TileId, Tile> {
         let decay = Decay::default();
         let served = |(id, tile): (&TileId, &Tile)| (*id, tile.published(least, today, &decay));
@@ -81,20 +81,21 @@ impl CrowdMap {
 impl FoldedMap {
     fn fold(&mut self, upload: &VehicleUpload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
         let mut folded = Vec::new();
-        let shares: Vec<_> = upload.contribution.tiles.iter().map(|(id, share)| (*id, share)).collect();
-        for (id, share, offset) in moved_evidence(&shares, offsets) {
+        let evidence: Vec<_> =
+            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, evidence)).collect();
+        for (id, evidence, offset) in moved_evidence(&evidence, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
-            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
+            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &evidence, offset);
             for near in id.with_neighbours() {
                 self.prepared.get_mut().unwrap_or_else(PoisonError::into_inner).remove(&near);
             }
-            folded.push((id, share));
+            folded.push((id, evidence));
         }
         folded
     }
 }
 
-/// The map without what only the upload's own contributor told.
+/// The map without what only the upload's own contributor contributed.
 struct OthersEvidence<'a> {
     folded: &'a FoldedMap,
     contributor: u64,
@@ -104,9 +105,9 @@ impl MapSide for OthersEvidence<'_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
         let FoldedMap { tiles, ledgers, prepared } = self.folded;
         let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
-        let told = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
+        let others = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
         let mut prepared = prepared.lock().unwrap_or_else(PoisonError::into_inner);
-        told.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
+        others.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
     }
 
     fn datum(&self, id: TileId) -> Datum {

@@ -42,7 +42,7 @@ impl Scale {
 }
 
 /// Where the figures come from.
-fn places(towns: &[u64]) -> String {
+fn towns_in_words(towns: &[u64]) -> String {
     let seeds: Vec<_> = towns.iter().map(u64::to_string).collect();
     format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
 }
@@ -78,7 +78,7 @@ impl CrowdSection {
         towns: &[u64],
         lines: &[T],
     ) -> anyhow::Result<Self> {
-        let (text, data) = (format!("{words}\n{table}"), Some(places(towns)));
+        let (text, data) = (format!("{words}\n{table}"), Some(towns_in_words(towns)));
         Self::new(Section { experiment, text, figures: Vec::new(), data }, lines)
     }
 }

@@ -22,7 +22,7 @@ use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 const SIDE: u32 = CELLS_PER_TILE as u32;
 /// Bytes of a detection, sent as it is: range and azimuth.
 const DETECTION_BYTES: u64 = 8;
-/// Contributors of each map: as many as must have told of a place for it to be served.
+/// Contributors of each map: as many as must have hit something near a cell for it to be served.
 const CONTRIBUTORS: u64 = 3;
 
 /// What of a cell is sent.
@@ -30,9 +30,9 @@ const CONTRIBUTORS: u64 = 3;
 enum Form {
     /// The scans, of which the map keeps all it can.
     Scans,
-    /// The sum of the hits' places, each to so many steps of a cell.
+    /// The sum of the hits' positions, each to so many steps of a cell.
     Steps(u32),
-    /// Cells of 20 cm, and nothing of the places in them.
+    /// Cells of 20 cm, and nothing of the positions in them.
     Wide,
 }
 
@@ -51,9 +51,9 @@ impl Form {
         let now = if self == Self::Steps(SENT_STEPS) { " (as it is)" } else { "" };
         match self {
             Self::Scans => format!("scans, {DETECTION_BYTES} bytes a detection"),
-            Self::Steps(1) => format!("cells, no places within them{now}"),
-            Self::Steps(steps) => format!("cells, places within them to 1/{steps}{now}"),
-            Self::Wide => "cells of 20 cm, no places within them".to_owned(),
+            Self::Steps(1) => format!("cells, no positions within them{now}"),
+            Self::Steps(steps) => format!("cells, positions within them to 1/{steps}{now}"),
+            Self::Wide => "cells of 20 cm, no positions within them".to_owned(),
         }
     }
 
@@ -67,15 +67,15 @@ impl Form {
 
     /// Bytes of an upload.
     fn bytes(self, contribution: &EvidenceDelta) -> u64 {
-        let halved = |share: &TileEvidence| {
-            let cells = widened(&share.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
-            TileEvidence { cells, observed: share.observed }
+        let halved = |evidence: &TileEvidence| {
+            let cells = widened(&evidence.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
+            TileEvidence { cells, observed: evidence.observed }
         };
         match self {
             Self::Scans => DETECTION_BYTES * contribution.detections,
             Self::Steps(_) => codec::encode(contribution).len() as u64,
             Self::Wide => {
-                let tiles = contribution.tiles.iter().map(|(id, told)| (*id, halved(told))).collect();
+                let tiles = contribution.tiles.iter().map(|(id, evidence)| (*id, halved(evidence))).collect();
                 codec::encode(&EvidenceDelta { tiles, detections: contribution.detections }).len() as u64
             }
         }
@@ -85,13 +85,13 @@ impl Form {
     fn read(self, upload: &VehicleUpload) -> VehicleUpload {
         let mut upload = upload.clone();
         if self == Self::Wide {
-            for share in upload.contribution.tiles.values_mut() {
+            for evidence in upload.contribution.tiles.values_mut() {
                 // The middle of four cells is a corner of the last of them.
-                let mut cells = widened(&share.cells, |x, y| (y | 1) * SIDE + (x | 1));
+                let mut cells = widened(&evidence.cells, |x, y| (y | 1) * SIDE + (x | 1));
                 for cell in &mut cells {
                     cell.offset_sum = [0, 0];
                 }
-                share.cells = cells;
+                evidence.cells = cells;
             }
         }
         upload
@@ -164,7 +164,7 @@ impl SizeLine {
         // The same questions are asked of every map, in the same order.
         let pairs = all.iter().enumerate().flat_map(|(town, (worths, _))| {
             let rows = worths[which].fixes.iter().zip(&worths[0].fixes);
-            // An answer from another hill says nothing of how sharp a map is, and drowns what does.
+            // An answer from another candidate says nothing of how sharp a map is, and drowns what does.
             let right = rows.filter(|(ours, finest)| !ours.wrong() && !finest.wrong());
             right.map(move |(ours, finest)| ((ours.error_m(), finest.error_m()), (town, ours.block)))
         });
@@ -229,10 +229,10 @@ mod tests {
     fn wide_cells_hold_what_four_did() {
         let cell = |index, hits| CellHits { index, hits, offset_sum: [0, 0] };
         let cells = [cell(0, 1), cell(513, 3), cell(1023, 2)];
-        let told = |index: fn(u32, u32) -> u32| {
+        let widened_by = |index: fn(u32, u32) -> u32| {
             widened(&cells, index).iter().map(|cell| (cell.index, cell.hits)).collect::<Vec<_>>()
         };
-        assert_eq!(told(|x, y| (y | 1) * SIDE + (x | 1)), [(513, 4), (1023, 2)]);
-        assert_eq!(told(|x, y| y / 2 * (SIDE / 2) + x / 2), [(0, 4), (255, 2)]);
+        assert_eq!(widened_by(|x, y| (y | 1) * SIDE + (x | 1)), [(513, 4), (1023, 2)]);
+        assert_eq!(widened_by(|x, y| y / 2 * (SIDE / 2) + x / 2), [(0, 4), (255, 2)]);
     }
 }

@@ -24,7 +24,7 @@ use crate::evaluate::record::EpochRecord;
 
 /// Contributors of the maps; a bit each in a mask.
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
-/// Contributors that must have told of a place.
+/// Contributors that must have hit something near a cell.
 const LEAST: u32 = 3;
 /// Of them, those that must have hit a cell itself where that is asked for.
 const OWN: u32 = 2;
@@ -47,7 +47,7 @@ enum Rule {
     /// Three hit something in cells not farther off than this along each axis.
     Within(i64),
     /// The same, and not three, but so many in a hundred of those that drove there.
-    Share(i64, u32),
+    Fraction(i64, u32),
 }
 
 const RULES: [Rule; 9] = [
@@ -57,9 +57,9 @@ const RULES: [Rule; 9] = [
     Rule::Own(4),
     Rule::Within(2),
     Rule::Within(1),
-    Rule::Share(2, 50),
-    Rule::Share(1, 40),
-    Rule::Share(1, 20),
+    Rule::Fraction(2, 50),
+    Rule::Fraction(1, 40),
+    Rule::Fraction(1, 20),
 ];
 
 impl Rule {
@@ -70,7 +70,7 @@ impl Rule {
             Self::Block(cells) => format!("three in the same block of {} cm", cm(cells)),
             Self::Own(side) => format!("three in the same block of {} cm, two of them in the cell", cm(side)),
             Self::Within(cells) => format!("three in cells {} cm off or less", cm(cells)),
-            Self::Share(cells, percent) => {
+            Self::Fraction(cells, percent) => {
                 format!("{percent} % of all, at least three, in cells {} cm off or less", cm(cells))
             }
         }
@@ -80,7 +80,7 @@ impl Rule {
     fn least(self, contributors: u32) -> u32 {
         match self {
             Self::Any => 0,
-            Self::Share(_, percent) => LEAST.max((contributors * percent).div_ceil(100)),
+            Self::Fraction(_, percent) => LEAST.max((contributors * percent).div_ceil(100)),
             _ => LEAST,
         }
     }
@@ -93,7 +93,7 @@ impl Rule {
                 let low = |v: i64| v.div_euclid(side) * side;
                 [low(x), low(x) + side - 1, low(y), low(y) + side - 1]
             }
-            Self::Within(cells) | Self::Share(cells, _) => [x - cells, x + cells, y - cells, y + cells],
+            Self::Within(cells) | Self::Fraction(cells, _) => [x - cells, x + cells, y - cells, y + cells],
         }
     }
 }
@@ -163,10 +163,11 @@ impl SupportVisit {
         let mut served = BTreeMap::new();
         for (id, tile) in tiles {
             let is_served = |index: u32| least == 0 || hits.serves(rule, least, id.cell(index), 0);
-            let kept: Vec<_> = tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
-            outcome.served[0] += kept.len();
+            let served_cells: Vec<_> =
+                tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
+            outcome.served[0] += served_cells.len();
             outcome.served[1] += tile.len();
-            served.extend(Tile::from_cells(kept).map(|tile| (*id, tile)));
+            served.extend(Tile::from_cells(served_cells).map(|tile| (*id, tile)));
         }
         // Who makes them up is one contributor more.
         let least = rule.least(contributors + 1);
@@ -198,8 +199,8 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<SupportOutcome>>> {
     for who in 0..CROWDS[CROWDS.len() - 1] {
         let drive = town::drive(&visit.city, who, Way::Survey, u64::from(who))?;
         for upload in cut(&drive, zone, SentForm::of(u64::from(who)))? {
-            for (id, share) in map.offer(&upload).into_iter().flatten() {
-                share.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
+            for (id, evidence) in map.offer(&upload).into_iter().flatten() {
+                evidence.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
             }
         }
         if CROWDS.contains(&(who + 1)) {
@@ -216,9 +217,9 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<SupportOutcome>>> {
 struct SupportLine {
     contributors: u32,
     rule: String,
-    /// Share of the cells that are served.
+    /// Fraction of the cells that are served.
     served: f64,
-    /// Share of the made-up ones.
+    /// Fraction of the made-up ones.
     made_up: f64,
     #[serde(flatten)]
     summary: Summary,
@@ -226,7 +227,7 @@ struct SupportLine {
 
 impl SupportLine {
     fn of(contributors: u32, rule: Rule, outcomes: &[&SupportOutcome]) -> Self {
-        let share = |of: fn(&SupportOutcome) -> [usize; 2]| {
+        let fraction = |of: fn(&SupportOutcome) -> [usize; 2]| {
             let sum = |k: usize| outcomes.iter().map(|outcome| of(outcome)[k]).sum::<usize>();
             sum(0) as f64 / sum(1).max(1) as f64
         };
@@ -234,15 +235,15 @@ impl SupportLine {
         Self {
             contributors,
             rule: rule.words(),
-            served: share(|outcome| outcome.served),
-            made_up: share(|outcome| outcome.made_up),
+            served: fraction(|outcome| outcome.served),
+            made_up: fraction(|outcome| outcome.made_up),
             summary: Summary::of(&rows),
         }
     }
 
     fn cells(&self) -> String {
         let Self { contributors, rule, served, made_up, summary } = self;
-        let [served, made_up] = [served, made_up].map(|share| format!("{:.1} %", 100.0 * share));
+        let [served, made_up] = [served, made_up].map(|fraction| format!("{:.1} %", 100.0 * fraction));
         format!("{contributors} | {rule} | {served} | {made_up} | {}", summary.cells())
     }
 }
@@ -252,9 +253,9 @@ const WORDS: &str = "## Support
 A cell is served once three contributors hit something near it. How near? Wide rules let one contributor, as the third, serve what he made
 up where two honest ones saw clutter; narrow ones serve less of what stands. Contributors drive every street, each on a day of his own;
 made up are cells in the lanes, more than 50 cm from anything that stands in the town. Clutter adds up: a number of contributors protects
-less the more of them drive, and only a share of them would protect for good. A share is not what the service asks for: a new
+less the more of them drive, and only a fraction of them would protect for good. A fraction is not what the service asks for: a new
 building would not be served before most of those who ever drove there had come again. It asks for three in the same block of 40 cm
-and, where six passes had the place in view, for two of them in the cell itself: no cell is served there on the word of one.
+and, where six passes had the cell in view, for two of them in the cell itself: no cell is served there on the word of one.
 ";
 
 const COLUMNS: [&str; 8] = [
@@ -304,6 +305,6 @@ mod tests {
             [Rule::Block(8), Rule::Block(4), Rule::Within(1), Rule::Within(2)].map(count),
             [2, 2, 1, 3]
         );
-        assert_eq!([3, 10, 11].map(|all| Rule::Share(1, 40).least(all)), [3, 4, 5]);
+        assert_eq!([3, 10, 11].map(|all| Rule::Fraction(1, 40).least(all)), [3, 4, 5]);
     }
 }

@@ -17,7 +17,7 @@ use crate::evaluate::map::{Movers, gated, mapped_from, on_grid};
 pub struct VehicleUpload {
     /// Whose it is, and of which day.
     pub pass: Pass,
-    /// What it tells.
+    /// Its evidence delta.
     pub contribution: EvidenceDelta,
 }
 
@@ -28,7 +28,7 @@ pub struct SentForm {
     pub contributor: u64,
     /// Reference poses of a larger sigma are not mapped from, metres.
     pub max_sigma_m: f64,
-    /// Steps of a cell to which the places of hits are told.
+    /// Steps of a cell to which the positions of hits are sent.
     pub steps: u32,
 }
 
@@ -105,7 +105,7 @@ fn upload(
     let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
     let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
     let scale = grid.scale_factor(poses[0].at)?;
-    // Movers are gone already, and odometry told them better than absolute poses would.
+    // Movers are gone already, and odometry tells them better than absolute poses would.
     let gate = Movers::Included.gate();
     let mut gathering = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =

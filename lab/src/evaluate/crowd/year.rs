@@ -21,7 +21,7 @@ use crate::evaluate::section::{Figure, Section};
 
 /// Vehicles that map.
 const CONTRIBUTORS: u64 = 5;
-/// Contributors that tell of a place before it is served.
+/// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
 /// What the service takes poses for known from, metres.
 const MAX_SIGMA_M: f64 = 0.3;
@@ -179,7 +179,7 @@ pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
             table(&columns(), lines.iter().map(YearLine::cells))
         ),
         figures: vec![("year.svg", figure)],
-        data: Some(super::places(towns)),
+        data: Some(super::towns_in_words(towns)),
     };
     CrowdSection::new(section, &lines)
 }
@@ -193,7 +193,7 @@ Five vehicles map a town all on day 0, then two of them every {every} days, 900 
 gone from day 90 on, one is built on day 150, and from day 60 to 179 one street is a building site: containers stand along both kerbs
 where else cars park and hide the fronts behind them, with barriers before them. (Its lanes stay open: in a street that is closed there
 is nobody to ask where he is.) Another vehicle drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
-what the service serves of what at least three contributors told. Of {uploads} uploads {quarantined} were quarantined.
+what the service serves of what at least three contributors support. Of {uploads} uploads {quarantined} were quarantined.
 "
     )
 }
