@@ -35,7 +35,7 @@ enum Command {
     Simulate(commands::simulate::Args),
     /// Convert the radar data of a public data set to a drive log.
     Import(commands::import::Args),
-    /// Upload drive logs to the map; show its history, take uploads back, export, import, check and back it up.
+    /// Upload drive logs to the map; show its history, exclude uploads, export, import, check and back it up.
     Map(commands::map::Args),
     /// Send the batches of a drive log to the service, and compare its fixes with the known poses.
     Localize(commands::localize::Args),

@@ -23,7 +23,7 @@ fn main() {
     let drives: Vec<Drive> = (1..=DRIVES).map(perfect).collect();
     println!("{DRIVES} drives of 600 m, towns 1 to {DRIVES}, batches of 5 s, seeds as numbered.\n");
     println!(
-        "| drift at 5 s | batches | position, cm | corrected | estimated of the paper's | heading, deg | corrected | estimated |"
+        "| drift at 5 s | batches | position, cm | corrected | expecting the paper's | heading, deg | corrected | expecting the paper's |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     compare("none", &drives, &drives, |way, _| way.clone());

@@ -21,15 +21,18 @@ Words:
               journal's order
   epoch       the number of the last record that a state of the map contains; it grows with each
               record, so that a larger epoch is a later map
-  roll back   to leave out every record after an epoch; this is a record, too
-  revoke      to leave out a contributor's uploads so far, or one upload or imported file
-  compact     to replace the records before a day by the tiles they made; those records can then
-              no longer be left out, and this cannot be undone
+  roll back   to exclude every record after an epoch; the decision is a record, too
+  revoke      to exclude a contributor's uploads so far, or one upload or imported file
+  compact     to replace the records before a day by a checkpoint, which holds the tiles they made;
+              those records can then no longer be excluded, and this cannot be undone
   lineage     a random number that tells one history of the map from another; it is drawn anew
               when a backup is restored or when the configuration of what counts is changed, and
               vehicles then download their tiles anew
-  datum       the mean by which vetting moved uploads to fit the map; it is the map's own offset,
-              and the service takes it off every fix";
+  vetting     to compare an upload with what others contributed, and to accept it, move it onto
+              the map or quarantine it
+  quarantine  the uploads that vetting kept out of the map, with offset and reason
+  datum       by how much vetting moved the uploads over a tile; its mean is the map's own offset,
+              and the service subtracts it from every fix";
 
 /// Arguments of `echofix map`.
 #[derive(clap::Args)]

@@ -30,12 +30,12 @@ pub enum MapOperation {
         /// The later epoch.
         to: u64,
     },
-    /// Roll the map back to an epoch: leave out all uploads and imports after it.
+    /// Roll the map back to an epoch: exclude all uploads and imports after it.
     Rollback {
         /// The last epoch whose record still counts.
         epoch: u64,
     },
-    /// Leave out what a contributor uploaded so far, or one upload or imported file.
+    /// Exclude what a contributor has uploaded so far, or one upload or imported file.
     #[command(group = clap::ArgGroup::new("whose").required(true))]
     Revoke {
         /// The pseudonym under which the contributor uploads.
@@ -64,7 +64,7 @@ pub enum MapOperation {
         #[arg(long)]
         replay: bool,
     },
-    /// Compact the journal: replace the records before a day by the tiles they made. This cannot be undone.
+    /// Compact the journal: replace the records before a day by a checkpoint. This cannot be undone.
     ///
     /// The journal takes less room then, but what came before that day can no longer be rolled back or revoked.
     Compact {

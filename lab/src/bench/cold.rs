@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::load::once;
-use super::town::{TRUSTING, Town};
+use super::town::{BenchTown, TRUSTING};
 use crate::machine::{held_by, used_by};
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::process::ServiceProcess;
@@ -38,7 +38,7 @@ pub struct Cold {
 ///
 /// # Errors
 /// When the service does not come up or answer.
-pub(super) async fn measure(town: &Town, folder: &Path) -> anyhow::Result<Cold> {
+pub(super) async fn measure(town: &BenchTown, folder: &Path) -> anyhow::Result<Cold> {
     let settings = ["locating.threads=1", ROOM, TRUSTING, UNCONFIRMED].map(str::to_owned);
     let service = ServiceProcess::start(folder, &settings).await?;
     let used = || used_by(service.pid()).map(|used| used.as_secs_f64() * 1e3);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 
-use super::{Plan, page, run as measure};
+use super::{BenchPlan, page, run as measure};
 use crate::report;
 
 /// Arguments of `echofix bench`.
@@ -27,7 +27,7 @@ pub struct Args {
 /// When a step of the way fails or the answers are not sane.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let Args { seed, quick, write } = args;
-    let plan = if quick { Plan::quick(seed) } else { Plan::full(seed) };
+    let plan = if quick { BenchPlan::quick(seed) } else { BenchPlan::full(seed) };
     let folder = tempfile::tempdir().context("making a folder for the map")?;
     let say = |text: &str| {
         if !json {

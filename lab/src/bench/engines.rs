@@ -14,7 +14,7 @@ use echofix_harness::percentiles::Percentiles;
 
 /// What an engine takes.
 #[derive(Debug, Clone, Serialize)]
-pub struct Engine {
+pub struct EngineTiming {
     /// Its name.
     pub name: String,
     /// Milliseconds a batch.
@@ -32,7 +32,7 @@ const EXACT: [&str; 2] = ["fft", "bounded"];
 ///
 /// # Errors
 /// When an exact engine finds another maximum than the reference.
-pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<Engine>> {
+pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<EngineTiming>> {
     let engines: [(Box<dyn engine::Engine>, usize); 5] = [
         (Box::new(Reference::default()), 1),
         (Box::new(Reference::as_printed()), 1),
@@ -40,7 +40,7 @@ pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<
         (Box::new(Bounded::default()), repetitions),
         (Box::new(Fast::default()), repetitions),
     ];
-    let mut measured: Vec<Engine> = Vec::new();
+    let mut measured: Vec<EngineTiming> = Vec::new();
     let mut maxima = Vec::new();
     for (engine, repetitions) in engines {
         let (times, found) = search(cases, &*engine, repetitions);
@@ -65,10 +65,10 @@ pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<
     Ok(measured)
 }
 
-fn push(measured: &mut Vec<Engine>, name: String, times: Vec<f64>, identical: Option<(usize, usize)>) {
+fn push(measured: &mut Vec<EngineTiming>, name: String, times: Vec<f64>, identical: Option<(usize, usize)>) {
     if let Some(ms) = Percentiles::of(times) {
-        let ratio = measured.first().map_or(1.0, |first: &Engine| ms.p50 / first.ms.p50);
-        measured.push(Engine { name, ms, ratio, identical });
+        let ratio = measured.first().map_or(1.0, |first: &EngineTiming| ms.p50 / first.ms.p50);
+        measured.push(EngineTiming { name, ms, ratio, identical });
     }
 }
 

@@ -21,7 +21,7 @@ use prost::Message;
 use serde::Serialize;
 
 use super::case::Case;
-use super::town::{TRUSTING, Town};
+use super::town::{BenchTown, TRUSTING};
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::questions::DriveQuestions;
 
@@ -48,7 +48,7 @@ impl Inside {
 }
 
 /// The service's map and parts, in this process.
-pub(super) struct Scene {
+pub(super) struct InProcessService {
     store: Arc<dyn MapStore>,
     config: Config,
     locator: Arc<Locator>,
@@ -56,13 +56,13 @@ pub(super) struct Scene {
     requests: Vec<LocalizeRequest>,
 }
 
-impl Scene {
+impl InProcessService {
     /// Opens the map that lies in a folder; no service may run on it.
     ///
     /// # Errors
     /// When the map does not open.
-    pub(super) fn open(town: &Town, folder: &Path) -> anyhow::Result<Self> {
-        // As the service was told: under another policy the map would be folded anew.
+    pub(super) fn open(town: &BenchTown, folder: &Path) -> anyhow::Result<Self> {
+        // As the service was set: under another policy the map would be folded anew.
         let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {

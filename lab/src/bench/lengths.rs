@@ -3,8 +3,8 @@
 use prost::Message;
 use serde::Serialize;
 
-use super::inside::{Inside, Scene, detections, timed_of};
-use super::town::Town;
+use super::inside::{InProcessService, Inside, detections, timed_of};
+use super::town::BenchTown;
 
 /// Batches of one length.
 #[derive(Debug, Clone, Serialize)]
@@ -23,7 +23,11 @@ pub struct Length {
 ///
 /// # Errors
 /// When a request is refused.
-pub(super) async fn measure(scene: &Scene, town: &Town, repetitions: usize) -> anyhow::Result<Vec<Length>> {
+pub(super) async fn measure(
+    scene: &InProcessService,
+    town: &BenchTown,
+    repetitions: usize,
+) -> anyhow::Result<Vec<Length>> {
     let mut lengths = Vec::new();
     for (batch_s, recording) in &town.by_length {
         let requests = timed_of(recording);

@@ -12,8 +12,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::case::Case;
-use super::inside::{Scene, timed};
-use super::town::Town;
+use super::inside::{InProcessService, timed};
+use super::town::BenchTown;
 use echofix_harness::percentiles::Percentiles;
 
 /// An answer this near is right: metres and degrees.
@@ -41,13 +41,18 @@ pub struct Lost {
 ///
 /// # Errors
 /// When a request is malformed or the map cannot be read.
-pub(super) fn measure(scene: &Scene, town: &Town, questions: usize, seed: u64) -> anyhow::Result<Lost> {
+pub(super) fn measure(
+    scene: &InProcessService,
+    town: &BenchTown,
+    questions: usize,
+    seed: u64,
+) -> anyhow::Result<Lost> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut aligner = Aligner::default();
     let mut lost = Lost { off_m: scene.wide_search_m(), asked: questions, ..Lost::default() };
     let mut fixes = Vec::new();
     for index in 0..questions {
-        let Asked { case, true_pose } = asked(scene, town, index % town.recording.count(), &mut rng)?;
+        let LostQuestion { case, true_pose } = asked(scene, town, index % town.recording.count(), &mut rng)?;
         if index == 0 {
             // The first time fills buffers.
             answer(&case, &mut aligner);
@@ -71,12 +76,17 @@ impl Lost {
 }
 
 /// A question of a lost vehicle.
-struct Asked {
+struct LostQuestion {
     case: Case,
     true_pose: Pose2,
 }
 
-fn asked(scene: &Scene, town: &Town, index: usize, rng: &mut ChaCha8Rng) -> anyhow::Result<Asked> {
+fn asked(
+    scene: &InProcessService,
+    town: &BenchTown,
+    index: usize,
+    rng: &mut ChaCha8Rng,
+) -> anyhow::Result<LostQuestion> {
     let truth = town.recording.true_pose(index);
     let grid = Grid::of(truth.at)?;
     let true_pose = grid.pose_from_geodetic(truth.at, truth.yaw_rad)?;
@@ -93,7 +103,7 @@ fn asked(scene: &Scene, town: &Town, index: usize, rng: &mut ChaCha8Rng) -> anyh
         sigma_yaw_rad: PI / sigmas,
         ..v1::Prior::default()
     });
-    Ok(Asked { case: scene.case(&request)?, true_pose })
+    Ok(LostQuestion { case: scene.case(&request)?, true_pose })
 }
 
 /// Milliseconds of map assembled, search, refinement and verdict, and what came of them.

@@ -37,18 +37,18 @@ use cold::Cold;
 use echofix_harness::fix_record::FixRecord;
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::process::ServiceProcess;
-use engines::Engine;
+use engines::EngineTiming;
 use inside::Inside;
 use lengths::Length;
 use load::Load;
 use lost::Lost;
 pub use page::page;
 use sizes::Size;
-use town::{Town, Uploads};
+use town::{BenchTown, UploadCost};
 
 /// How much is measured.
 #[derive(Debug, Clone, Serialize)]
-pub struct Plan {
+pub struct BenchPlan {
     /// Seed of the town, the drives and the priors.
     pub seed: u64,
     /// Blocks of the town, east and north.
@@ -73,7 +73,7 @@ pub struct Plan {
     pub lost: usize,
 }
 
-impl Plan {
+impl BenchPlan {
     /// All of it, in some minutes.
     pub fn full(seed: u64) -> Self {
         let blocks = (3, 2);
@@ -115,7 +115,7 @@ impl Plan {
 #[derive(Debug, Clone, Serialize)]
 pub struct Figures {
     /// How much was measured.
-    pub plan: Plan,
+    pub plan: BenchPlan,
     /// On what.
     pub machine: Machine,
     /// Kilometres of the town's streets.
@@ -123,7 +123,7 @@ pub struct Figures {
     /// Detections of the median request.
     pub detections: usize,
     /// What the map's uploads cost.
-    pub uploads: Uploads,
+    pub uploads: UploadCost,
     /// A street seen for the first time.
     pub cold: Cold,
     /// Load, by the service's compute threads.
@@ -133,7 +133,7 @@ pub struct Figures {
     /// Where the time of one request goes, in process.
     pub inside: Inside,
     /// The alignment alone.
-    pub engines: Vec<Engine>,
+    pub engines: Vec<EngineTiming>,
     /// The search by the size of window and batch.
     pub sizes: Vec<Size>,
     /// One request by the length of its batch.
@@ -142,7 +142,7 @@ pub struct Figures {
     pub lost: Lost,
     /// Horizontal errors of all answers, metres.
     pub error_m: Option<Percentiles>,
-    /// Share of the answers that are usable.
+    /// Fraction of the answers that are usable.
     pub usable_share: f64,
 }
 
@@ -155,9 +155,9 @@ const NEVER_ENOUGH: &str = "locating.min_detections=1000000000";
 ///
 /// # Errors
 /// When a step of the way fails or the answers are not sane.
-pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Result<Figures> {
+pub async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Result<Figures> {
     say("A town is mapped.");
-    let town = Town::mapped(&plan, folder).await?;
+    let town = BenchTown::mapped(&plan, folder).await?;
     say(&format!("{} questions; a street for the first time.", town.recording.count()));
     let (mut loads, mut fixes) = (Vec::new(), Vec::new());
     let cold = cold::measure(&town, folder).await?;
@@ -170,7 +170,7 @@ pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Resu
     say("Load without alignment.");
     let (refused, _) = loaded(&plan, &town, folder, 2, &[NEVER_ENOUGH.to_owned()]).await?;
     say("Steps and engines, in process.");
-    let scene = inside::Scene::open(&town, folder)?;
+    let scene = inside::InProcessService::open(&town, folder)?;
     let inside = scene.profile(scene.requests(), plan.repetitions).await?;
     let engines = engines::measure(&scene.cases()?, plan.repetitions)?;
     say("Windows and batches of other sizes.");
@@ -200,8 +200,8 @@ pub async fn run(plan: Plan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Resu
 
 /// A service of so many compute threads, warmed and put under load.
 async fn loaded(
-    plan: &Plan,
-    town: &Town,
+    plan: &BenchPlan,
+    town: &BenchTown,
     folder: &Path,
     threads: usize,
     settings: &[String],

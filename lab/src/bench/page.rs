@@ -3,23 +3,23 @@
 use std::fmt::Write;
 
 use super::cold::Cold;
-use super::engines::Engine;
+use super::engines::EngineTiming;
 use super::inside::{ALIGNED, Inside};
 use super::lengths::Length;
 use super::load::Load;
 use super::lost::Lost;
 use super::sizes::Size;
-use super::town::Uploads;
-use super::{Figures, Plan};
+use super::town::UploadCost;
+use super::{BenchPlan, Figures};
 use echofix_harness::percentiles::Percentiles;
 
 /// The figures in Markdown; `command` is how they were made.
 pub fn page(figures: &Figures, command: &str) -> String {
     let Figures { plan, machine, loads, refused, cold, inside, engines, .. } = figures;
-    let Plan { seed, contributors, questions, load_s, .. } = plan;
+    let BenchPlan { seed, contributors, questions, load_s, .. } = plan;
     let mut page = format!(
         "`{command}`, on {} cores of an {}, {:.0} GiB; other work on the machine raises every time, so compare within \
-         one run. Town seed {seed}, {:.1} km of streets mapped by {contributors} vehicle(s); {questions} questions at most, one a \
+         one run. BenchTown seed {seed}, {:.1} km of streets mapped by {contributors} vehicle(s); {questions} questions at most, one a \
          second of a drive three days later, 5 s batches (the median request has {} detections), priors of sigma 2 m and \
          3 deg; {load_s:.0} s of load a row.\n",
         machine.cores, machine.processor, machine.memory_gib, figures.street_km, figures.detections,
@@ -99,17 +99,17 @@ fn steps(inside: &Inside, loads: &[Load]) -> String {
     table
 }
 
-fn by_engine(engines: &[Engine]) -> String {
+fn by_engine(engines: &[EngineTiming]) -> String {
     let columns = ["engine", "ms a batch, 50 %", "99 %", "times faster", "same maximum"];
     let mut table = head("The search, and the whole fix, by engine", &columns);
-    for Engine { name, ms, ratio, identical } in engines {
+    for EngineTiming { name, ms, ratio, identical } in engines {
         let same = identical.map_or_else(|| "-".to_owned(), |(same, all)| format!("{same} of {all}"));
         let _ = writeln!(table, "| {name} | {:.2} | {:.2} | {:.0} | {same} |", ms.p50, ms.p99, 1.0 / ratio);
     }
     table + "\nAllocations are counted by `cargo bench -p echofix-tests`.\n"
 }
 
-fn by_size(sizes: &[Size], plan: &Plan) -> String {
+fn by_size(sizes: &[Size], plan: &BenchPlan) -> String {
     let mut columns = vec!["search, m", "cells of the batch"];
     columns.extend(sizes.first().into_iter().flat_map(|size| &size.ms).map(|(name, _)| *name));
     let mut table = head("Engines by the size of window and batch, ms", &columns);
@@ -150,12 +150,12 @@ fn of_lost(lost: &Lost) -> String {
     format!(
         "\n## Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
          wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
-         {misled} that are not. Search, climb and verdict take {ms} ms (50 / 95 / 99 %).\n"
+         {misled} that are not. Search, refinement and verdict take {ms} ms (50 / 95 / 99 %).\n"
     )
 }
 
-fn of_uploads(uploads: &Uploads) -> String {
-    let Uploads { count, kb, cpu_ms } = *uploads;
+fn of_uploads(uploads: &UploadCost) -> String {
+    let UploadCost { count, kb, cpu_ms } = *uploads;
     let each = |all: f64| all / count.max(1) as f64;
     format!(
         "\n## An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \

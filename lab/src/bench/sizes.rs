@@ -13,9 +13,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use serde::Serialize;
 
-use super::Plan;
+use super::BenchPlan;
 use super::case::Case;
-use super::inside::{Scene, timed};
+use super::inside::{InProcessService, timed};
 
 /// Copies of a detection lie so far from it, one sigma along each axis, metres.
 const SCATTER_M: f32 = 0.6;
@@ -37,7 +37,7 @@ pub struct Size {
 ///
 /// # Errors
 /// When a request is malformed or the map cannot be read.
-pub(super) fn measure(scene: &Scene, plan: &Plan) -> anyhow::Result<Vec<Size>> {
+pub(super) fn measure(scene: &InProcessService, plan: &BenchPlan) -> anyhow::Result<Vec<Size>> {
     let mut sizes = Vec::new();
     for &half_width_m in &plan.half_widths_m {
         let requests = scene.requests().iter().take(plan.sized);

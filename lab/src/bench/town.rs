@@ -8,7 +8,7 @@ use echofix_sim::{City, CityParams, Route};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::Plan;
+use super::BenchPlan;
 use crate::machine::used_by;
 use echofix_harness::process::ServiceProcess;
 use echofix_harness::questions::{DriveQuestions, QuestionPlan};
@@ -27,8 +27,8 @@ const DAYS_LATER: u32 = 3;
 
 /// What the vehicles' uploads cost the service: decoded, written, vetted against the map and folded into it.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
-pub struct Uploads {
-    /// Uploads.
+pub struct UploadCost {
+    /// UploadCost.
     pub count: u64,
     /// Kilobytes of all of them on the wire.
     pub kb: f64,
@@ -37,8 +37,8 @@ pub struct Uploads {
 }
 
 /// A town whose map lies in a folder.
-pub(super) struct Town {
-    pub(super) uploads: Uploads,
+pub(super) struct BenchTown {
+    pub(super) uploads: UploadCost,
     pub(super) street_km: f64,
     pub(super) recording: Arc<DriveQuestions>,
     /// The same drive, asking with batches of other lengths, by seconds.
@@ -47,15 +47,15 @@ pub(super) struct Town {
     pub(super) asked_over_m: f64,
 }
 
-impl Town {
+impl BenchTown {
     /// Maps a town through a service that is ended afterwards.
-    pub(super) async fn mapped(plan: &Plan, folder: &Path) -> anyhow::Result<Self> {
+    pub(super) async fn mapped(plan: &BenchPlan, folder: &Path) -> anyhow::Result<Self> {
         let (blocks_x, blocks_y) = plan.blocks;
         let params = CityParams { seed: plan.seed, blocks_x, blocks_y, ..CityParams::default() };
         let city = City::generate(&params)?;
         let service = ServiceProcess::start(folder, &[TRUSTING.to_owned()]).await?;
         let used_ms = || Some(used_by(service.pid())?.as_secs_f64() * 1e3);
-        let (began_ms, mut uploads) = (used_ms(), Uploads::default());
+        let (began_ms, mut uploads) = (used_ms(), UploadCost::default());
         for vehicle in 0..plan.contributors {
             let seed = plan.seed * 1000 + vehicle;
             let name = format!("mapper-{vehicle}");
@@ -74,7 +74,7 @@ impl Town {
     }
 
     /// What a vehicle asks on a later day, each second of a drive.
-    fn asked(plan: &Plan, city: &City, uploads: Uploads) -> anyhow::Result<Self> {
+    fn asked(plan: &BenchPlan, city: &City, uploads: UploadCost) -> anyhow::Result<Self> {
         let seed = plan.seed * 1000 + 999;
         let route = Route::survey(city, seed);
         let mut drive = town::drive(city, DAYS_LATER, &route, "lost".to_owned(), seed)?;
@@ -94,7 +94,7 @@ impl Town {
 }
 
 /// When to ask, with batches of so many seconds.
-fn questions(plan: &Plan, batch_s: f64) -> QuestionPlan {
+fn questions(plan: &BenchPlan, batch_s: f64) -> QuestionPlan {
     QuestionPlan { batch_s, warm_up_s: batch_s, ..QuestionPlan::every(1.0, plan.seed) }
 }
 

@@ -2,20 +2,20 @@
 
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::section::{Section, under};
 use super::tables;
 
 const WORDS: &str = "## What each step is worth
 
 From the paper's method on, one step a line: movers gated by their radial speeds, which also correct the odometry; the log
-weights of smoothed hits in place of occupancy; the hill climbed with unrounded, thinned points; odometry's drift as part of the
+weights of smoothed hits in place of occupancy; the candidate refined with unrounded, thinned points; odometry's drift as part of the
 answer, which is `echofix`. Then the same without radial speeds, and with a search that is exact. At the same epochs, from
 the same priors.
 ";
 
 /// The section.
-pub fn section(rows: &[&Record], base: Condition) -> Section {
+pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let experiment = Experiment::Ablation;
     let conditions = experiment.conditions(base, &[]);
     let mut groups = Groups::new();

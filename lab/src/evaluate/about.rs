@@ -1,16 +1,16 @@
 //! What a report must say of itself: machine, command, data.
 
-use super::record::Record;
-use super::run::Plan;
+use super::record::EpochRecord;
+use super::run::EvaluationPlan;
 use super::section::Section;
-use super::worlds::Places;
+use super::worlds::Worlds;
 use crate::machine::Machine;
 
 /// How the figures came about.
 pub struct About {
     machine: String,
     command: String,
-    places: String,
+    worlds: String,
     simulated: bool,
     fixes: usize,
     seed: u64,
@@ -18,12 +18,12 @@ pub struct About {
 
 impl About {
     /// Of this run.
-    pub fn of(places: &Places, plan: &Plan, rows: &[Record]) -> Self {
+    pub fn of(worlds: &Worlds, plan: &EvaluationPlan, rows: &[EpochRecord]) -> Self {
         Self {
             machine: Machine::here().to_string(),
             command: command(std::env::args()),
-            places: places.words(),
-            simulated: matches!(places, Places::Simulated(_)),
+            worlds: worlds.words(),
+            simulated: matches!(worlds, Worlds::Simulated(_)),
             fixes: rows.len(),
             seed: plan.seed,
         }
@@ -72,9 +72,9 @@ pub fn page(about: &About, sections: &[Section]) -> String {
 
 /// One experiment's part of the report and the name of its markers.
 pub fn part(about: &About, section: &Section) -> (String, String) {
-    let About { machine, command, places, fixes, seed, .. } = about;
+    let About { machine, command, worlds, fixes, seed, .. } = about;
     let text = section.text.trim_end();
-    let shared = || format!("{fixes} fixes, priors of seed {seed}. {places}");
+    let shared = || format!("{fixes} fixes, priors of seed {seed}. {worlds}");
     let data = section.data.clone().unwrap_or_else(shared);
     let part = format!("{text}\n\nBy `{command}`: {data} On {machine}.");
     (format!("evaluate-{}", section.experiment.word()), part)

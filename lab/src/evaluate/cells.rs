@@ -2,16 +2,16 @@
 
 use std::collections::BTreeSet;
 
-use super::record::Record;
-use super::statistics::bootstrap::{Estimate, percentiles, share};
+use super::record::EpochRecord;
+use super::statistics::bootstrap::{Estimate, fraction, percentiles};
 
-/// Shares of the epochs that a percentile is given for.
-const SHARES: [f64; 3] = [0.5, 0.95, 0.99];
+/// Fractions of the epochs that a percentile is given for.
+const FRACTIONS: [f64; 3] = [0.5, 0.95, 0.99];
 /// Batches this far apart share no scan, microseconds.
 const APART_US: i64 = 5_000_000;
 
 /// A quantity of a row.
-pub type Quantity = fn(&Record) -> Option<f64>;
+pub type Quantity = fn(&EpochRecord) -> Option<f64>;
 
 /// Horizontal error, metres.
 pub const HORIZONTAL: Quantity = |row| Some(row.error_m());
@@ -35,13 +35,13 @@ pub const OFFSET: Quantity = |row| Some(row.offset_m);
 pub const OFFSET_HEADING: Quantity = |row| Some(row.offset_deg);
 
 /// What is independent: (world, block of time).
-pub fn cluster(row: &Record) -> (&str, usize) {
+pub fn cluster(row: &EpochRecord) -> (&str, usize) {
     (&row.world, row.block)
 }
 
 /// Median, 95 % and 99 %; empty of nothing.
-pub fn figures(rows: &[&Record], quantity: Quantity) -> Vec<Estimate> {
-    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &SHARES)
+pub fn figures(rows: &[&EpochRecord], quantity: Quantity) -> Vec<Estimate> {
+    percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &FRACTIONS)
 }
 
 /// How one figure compares with another, with its interval.
@@ -50,7 +50,7 @@ pub fn ratio(estimate: &Estimate) -> String {
 }
 
 /// `50 / 95 / 99` percentiles, the 95 % with its interval.
-pub fn cell(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
+pub fn cell(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usize) -> String {
     match figures(rows, quantity).as_slice() {
         [p50, p95, p99] => {
             let bounds = bounds(p95, scale, digits);
@@ -62,7 +62,7 @@ pub fn cell(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> 
 }
 
 /// The same without the interval.
-pub fn short(rows: &[&Record], quantity: Quantity, scale: f64, digits: usize) -> String {
+pub fn short(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usize) -> String {
     match figures(rows, quantity).as_slice() {
         [p50, p95, p99] => {
             let [p50, p95, p99] = [p50, p95, p99].map(|p| scale * p.value);
@@ -78,11 +78,11 @@ pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
     if low.is_nan() { String::new() } else { format!(" ({low:.digits$} - {high:.digits$})") }
 }
 
-/// The share of the rows that are hits, in percent with its interval.
+/// The fraction of the rows that are hits, in percent with its interval.
 ///
 /// Where no row is one, the upper bound is the rule of three over the batches that share no scan.
-pub fn percent(rows: &[&Record], hit: impl Fn(&Record) -> bool) -> String {
-    let Some(mut found) = share(rows.iter().map(|row| (hit(row), cluster(row)))) else {
+pub fn percent(rows: &[&EpochRecord], hit: impl Fn(&EpochRecord) -> bool) -> String {
+    let Some(mut found) = fraction(rows.iter().map(|row| (hit(row), cluster(row)))) else {
         return "-".to_owned();
     };
     if found.value == 0.0 {
@@ -96,13 +96,13 @@ pub fn percent(rows: &[&Record], hit: impl Fn(&Record) -> bool) -> String {
 mod tests {
     use super::*;
 
-    fn rows() -> Vec<Record> {
-        let row = |k: usize| Record {
+    fn rows() -> Vec<EpochRecord> {
+        let row = |k: usize| EpochRecord {
             world: "w".to_owned(),
             block: k / 10,
             time_us: k as i64 * 1_000_000,
             along_m: k as f64 * 0.01,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         (1..=100).map(row).collect()
     }

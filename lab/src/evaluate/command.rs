@@ -6,12 +6,12 @@ use anyhow::{Context, bail};
 
 use super::about::{About, page, part, shared};
 use super::condition::{Condition, Experiment};
-use super::crowd::{Scale, Told};
-use super::method::{Name, Windows};
-use super::record::Record;
-use super::run::{Plan, run as ask_all};
+use super::crowd::{CrowdSection, Scale};
+use super::method::{MethodName, Windows};
+use super::record::EpochRecord;
+use super::run::{EvaluationPlan, run as ask_all};
 use super::section::Section;
-use super::worlds::Places;
+use super::worlds::Worlds;
 use super::{crowd, sanity, sections, summary};
 use crate::report;
 use echofix_harness::progress;
@@ -45,7 +45,7 @@ pub struct Args {
     only: Vec<Experiment>,
     /// The methods, in the order of the tables.
     #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
-    methods: Vec<Name>,
+    methods: Vec<MethodName>,
     /// Contributors of the crowd experiment's maps.
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
@@ -81,7 +81,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let (own, experiments): (Vec<_>, Vec<_>) =
         experiments(args).into_iter().partition(|e| Experiment::OF_THE_CROWD.contains(e));
     let own = of_the_crowd(args, &own)?;
-    let (places, plan, crowds) = (places(args, !experiments.is_empty()), plan(args), crowds(args));
+    let (worlds, plan, crowds) = (worlds(args, !experiments.is_empty()), plan(args), crowds(args));
     let mut conditions = Vec::new();
     for condition in experiments.iter().flat_map(|e| e.conditions(plan.base, &crowds)) {
         if !conditions.contains(&condition) {
@@ -91,9 +91,9 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let windows = Windows::new(args.windows_mib);
     let bar = progress::bar("epochs", 0, json);
     let mut rows = Vec::new();
-    for index in 0..places.len() {
-        let conditions = places.conditions(index, &conditions, plan.base);
-        let world = places.world(index, &conditions, args.max_sigma_m)?;
+    for index in 0..worlds.len() {
+        let conditions = worlds.conditions(index, &conditions, plan.base);
+        let world = worlds.world(index, &conditions, args.max_sigma_m)?;
         rows.extend(ask_all(&world, &conditions, &plan, &windows, &bar)?);
     }
     bar.finish_and_clear();
@@ -104,10 +104,10 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
     let sections = experiments.iter().map(|e| sections::section(*e, &rows, &plan, &crowds));
-    let (own, lines): (Vec<_>, Vec<_>) = own.into_iter().map(|told| (told.section, told.lines)).unzip();
+    let (own, lines): (Vec<_>, Vec<_>) = own.into_iter().map(|report| (report.section, report.lines)).unzip();
     let lines: Vec<_> = own.iter().map(|section| section.experiment).zip(lines).collect();
     let sections: Vec<Section> = sections.chain(own).collect();
-    let about = About::of(&places, &plan, &rows);
+    let about = About::of(&worlds, &plan, &rows);
     if let Some(folder) = &args.write {
         write_report(folder, &about, &sections)?;
     }
@@ -122,10 +122,10 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<Told>> {
+fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<CrowdSection>> {
     let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
-    let told = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
-    Ok(told.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+    let reports = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
+    Ok(reports.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
 }
 
 fn experiments(args: &Args) -> Vec<Experiment> {
@@ -134,29 +134,29 @@ fn experiments(args: &Args) -> Vec<Experiment> {
     asked.iter().copied().filter(|e| !(logs && e.scenes())).collect()
 }
 
-fn places(args: &Args, any: bool) -> Places {
+fn worlds(args: &Args, any: bool) -> Worlds {
     if !any {
-        return Places::simulated(&[], &[], args.quick);
+        return Worlds::simulated(&[], &[], args.quick);
     }
     if let Some(drive) = &args.drive {
-        return Places::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
+        return Worlds::Logs { drive: drive.clone(), map: args.map.clone(), known: args.known_odometry };
     }
     let experiments = experiments(args);
     let towns =
         if args.quick { &args.world_seeds[..args.world_seeds.len().min(2)] } else { &args.world_seeds };
     let only_scenes = experiments == [Experiment::Ambiguity];
     let scenes = experiments.iter().any(|e| e.scenes());
-    Places::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
+    Worlds::simulated(if only_scenes { &[] } else { towns }, if scenes { towns } else { &[] }, args.quick)
 }
 
-fn plan(args: &Args) -> Plan {
+fn plan(args: &Args) -> EvaluationPlan {
     let (epochs, swept) = if args.quick { (30, 6) } else { (args.epochs_per_world, args.swept_per_world) };
     let base = Condition { contributors: args.map.len().max(1), ..Condition::default() };
     let variants = |experiment: Experiment| {
         let conditions = experiment.conditions(base, &[]);
         conditions.into_iter().flat_map(move |c| experiment.variants().iter().map(move |name| (*name, c)))
     };
-    Plan {
+    EvaluationPlan {
         every_s: args.every_s,
         epochs,
         swept,
@@ -176,7 +176,7 @@ fn crowds(args: &Args) -> Vec<usize> {
     args.crowds.iter().copied().filter(possible).collect()
 }
 
-fn write_rows(path: &Path, rows: &[Record]) -> anyhow::Result<()> {
+fn write_rows(path: &Path, rows: &[EpochRecord]) -> anyhow::Result<()> {
     let mut writer = csv::Writer::from_path(path)?;
     for row in rows {
         writer.serialize(row)?;

@@ -2,7 +2,7 @@
 
 use echofix_sim::{Drift, Growth};
 
-use super::method::Name;
+use super::method::MethodName;
 
 /// The paper's batch length, seconds.
 pub const BATCH_S: f64 = 5.0;
@@ -147,15 +147,17 @@ impl Experiment {
             Self::Localizability => "localizability.md",
             Self::Misses => "search.md",
             Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
-            Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => "paper.md",
+            Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => {
+                "paper.md"
+            }
         }
     }
 
     /// Methods it compares besides those asked for.
-    pub fn variants(self) -> &'static [Name] {
+    pub fn variants(self) -> &'static [MethodName] {
         match self {
-            Self::Ablation => &Name::LADDER,
-            Self::Misses => &[Name::Echofix, Name::Exact],
+            Self::Ablation => &MethodName::LADDER,
+            Self::Misses => &[MethodName::Echofix, MethodName::Exact],
             _ => &[],
         }
     }

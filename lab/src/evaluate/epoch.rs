@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use super::condition::Condition;
 use super::map::Movers;
 use super::method::Prior;
-use super::world::World;
+use super::world::EvaluationWorld;
 
 /// The longest batch; every epoch has that much behind it, so that all lengths see the same epochs.
 const WARM_UP_US: i64 = 8_000_000;
@@ -45,8 +45,8 @@ pub struct Epoch {
 
 /// Epochs about `every_s` apart while driving, thinned evenly to `most`, of which `swept` see all
 /// conditions.
-pub fn epochs(world: &World, every_s: f64, most: usize, swept: usize) -> Vec<Epoch> {
-    let least_mps = Movers::Kept.gate().min_speed_mps;
+pub fn epochs(world: &EvaluationWorld, every_s: f64, most: usize, swept: usize) -> Vec<Epoch> {
+    let least_mps = Movers::Included.gate().min_speed_mps;
     let Some(first) = world.drive.scans.first() else { return Vec::new() };
     let mut next_us = first.time_us + WARM_UP_US;
     let mut times = Vec::new();
@@ -63,7 +63,7 @@ pub fn epochs(world: &World, every_s: f64, most: usize, swept: usize) -> Vec<Epo
         }
     }
     let chosen = thinned(times.len(), most);
-    let of_all = |share: usize| thinned(chosen.len(), share).into_iter().collect::<BTreeSet<_>>();
+    let of_all = |count: usize| thinned(chosen.len(), count).into_iter().collect::<BTreeSet<_>>();
     let swept = of_all(swept);
     let epoch = |(number, index): (usize, &usize)| Epoch {
         number,
@@ -80,7 +80,7 @@ fn thinned(count: usize, most: usize) -> Vec<usize> {
 }
 
 /// A batch and where the vehicle would be, were its drift not an error.
-pub struct Asked {
+pub struct EpochBatch {
     /// The batch.
     pub batch: Batch,
     /// Cells it occupies.
@@ -94,12 +94,12 @@ pub struct Asked {
 /// # Errors
 /// When scans and odometry do not fit together.
 pub fn ask(
-    world: &World,
+    world: &EvaluationWorld,
     epoch: &Epoch,
     condition: &Condition,
     movers: Movers,
     seed: u64,
-) -> anyhow::Result<Option<Asked>> {
+) -> anyhow::Result<Option<EpochBatch>> {
     let (scans, end_us) = (&world.drive.scans, epoch.time_us);
     let start_us = end_us - (condition.batch_s * 1e6) as i64;
     let from = scans.partition_point(|s| s.time_us <= start_us);
@@ -112,8 +112,8 @@ pub fn ask(
     let (seen, mounts) = (&scans[from..to], &world.drive.mounts);
     // Who tells movers by their radial speeds corrects odometry by those of what stands still.
     let corrected = match movers {
-        Movers::Kept => None,
-        Movers::Dropped => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
+        Movers::Included => None,
+        Movers::Excluded => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
     };
     let way = corrected.map_or(way, |corrected| corrected.trajectory);
     let (Some(truth), Some(end), Some((begin_us, begin))) =
@@ -130,7 +130,7 @@ pub fn ask(
         }
     };
     let cells = occupied(&batch);
-    Ok(Some(Asked { batch, cells, drifted }))
+    Ok(Some(EpochBatch { batch, cells, drifted }))
 }
 
 fn occupied(batch: &Batch) -> usize {

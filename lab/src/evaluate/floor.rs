@@ -33,7 +33,7 @@ impl Floor {
         Ok(Self { contributors: mapping.iter().map(errors).collect::<anyhow::Result<_>>()? })
     }
 
-    /// Mean error of the poses from which the first so many contributors saw a place: metres east and
+    /// Mean error of the poses from which the first so many contributors saw a position: metres east and
     /// north, radians; `None` where that is not known.
     pub fn around(&self, pose: &Pose2, contributors: usize) -> Option<Pose2> {
         let mut sum = [0.0; 3];

@@ -16,11 +16,11 @@ use super::condition::Condition;
 use super::epoch::Epoch;
 use super::groups::{of_method, usable};
 use super::map::Movers;
-use super::method::{Name, Windows};
-use super::record::Record;
+use super::method::{MethodName, Windows};
+use super::record::EpochRecord;
 use super::simulated::is_scene;
 use super::statistics::rank;
-use super::world::World;
+use super::world::EvaluationWorld;
 
 /// Asks the map what it expects, with the buffers of one thread.
 pub struct Forecaster {
@@ -34,24 +34,24 @@ impl Forecaster {
         Self { windows: Arc::clone(windows), assessor: Assessor::default() }
     }
 
-    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true place.
+    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true position.
     ///
     /// # Errors
     /// When the world has no such map.
     pub fn add(
         &mut self,
-        world: &World,
+        world: &EvaluationWorld,
         epoch: &Epoch,
         base: &Condition,
-        rows: &mut [Record],
+        rows: &mut [EpochRecord],
     ) -> anyhow::Result<()> {
         let Some(truth) = world.truth.at(epoch.time_us) else { return Ok(()) };
-        let map = world.map(base.contributors, Movers::Dropped)?;
+        let map = world.map(base.contributors, Movers::Excluded)?;
         let (search, integrity) = (Search::default(), Integrity::default());
-        let place = [truth.x_m, truth.y_m];
-        let frame = MapSquare::around(map.zone(), place, search.extent_m, REACH_M);
+        let position = [truth.x_m, truth.y_m];
+        let frame = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
         let tiles = self.windows.weights(map, frame);
-        let here = self.assessor.assess(frame, &tiles, place, &search, &integrity);
+        let here = self.assessor.assess(frame, &tiles, position, &search, &integrity);
         let noise =
             here.sigma_horizontal_m().powi(2) - 2.0 * integrity.map_variance(base.contributors as f64);
         for row in rows.iter_mut().filter(|row| row.condition == *base) {
@@ -69,27 +69,27 @@ const BINS: usize = 5;
 
 /// The section of the report.
 #[must_use]
-pub fn section(rows: &[Record], base: &Condition) -> String {
+pub fn section(rows: &[EpochRecord], base: &Condition) -> String {
     let rows = forecast(rows, base);
-    let streets: Vec<&Record> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.site_kind)).collect();
     let correlated = rank(&streets).map_or("-".to_owned(), |value| format!("{value:.2}"));
     [
-        "## Localizability\n\nWhat the map alone expects of a fix at the true place, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
+        "## Localizability\n\nWhat the map alone expects of a fix at the true position, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
         &by_sigma(&streets),
         &format!("Rank correlation of expected sigma and realised error: {correlated}.\n"),
         "Streets that are made to be mistaken, and towns: what was expected, and what came of it.\n",
-        &by_place(&rows),
+        &by_site_kind(&rows),
     ]
     .join("\n")
 }
 
 /// The figures for machines.
 #[must_use]
-pub fn figures(rows: &[Record], base: &Condition) -> Value {
+pub fn figures(rows: &[EpochRecord], base: &Condition) -> Value {
     let rows = forecast(rows, base);
-    let streets: Vec<&Record> = rows.iter().copied().filter(|row| !is_scene(row.place)).collect();
+    let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.site_kind)).collect();
     let mistaken = |scene: bool| {
-        let of = rows.iter().filter(|row| is_scene(row.place) == scene);
+        let of = rows.iter().filter(|row| is_scene(row.site_kind) == scene);
         let usable = of.clone().filter(|row| row.forecast == "USABLE").count();
         json!({ "fixes": of.count(), "expected_usable": usable })
     };
@@ -97,24 +97,24 @@ pub fn figures(rows: &[Record], base: &Condition) -> Value {
 }
 
 /// The service's rows that something was expected of.
-fn forecast<'a>(rows: &'a [Record], base: &Condition) -> Vec<&'a Record> {
-    let asked: Vec<&Record> =
+fn forecast<'a>(rows: &'a [EpochRecord], base: &Condition) -> Vec<&'a EpochRecord> {
+    let asked: Vec<&EpochRecord> =
         rows.iter().filter(|row| row.condition == *base && !row.forecast.is_empty()).collect();
-    of_method(&asked, Name::Echofix.word())
+    of_method(&asked, MethodName::Echofix.word())
 }
 
 /// Rank correlation of expected sigma and realised error, of usable fixes.
-fn rank(rows: &[&Record]) -> Option<f64> {
+fn rank(rows: &[&EpochRecord]) -> Option<f64> {
     let pairs = rows.iter().filter(|row| row.usable).filter_map(|row| Some((row.forecast_m?, row.net_m?)));
     rank::correlation(&pairs.collect::<Vec<_>>())
 }
 
-fn by_sigma(rows: &[&Record]) -> String {
-    let mut sorted: Vec<&Record> = rows.to_vec();
+fn by_sigma(rows: &[&EpochRecord]) -> String {
+    let mut sorted: Vec<&EpochRecord> = rows.to_vec();
     sorted.sort_by(|a, b| a.forecast_m.unwrap_or_default().total_cmp(&b.forecast_m.unwrap_or_default()));
     let mut table = "| expected sigma, cm | fixes | realised error of usable fixes, cm | 95 % over expected sigma | usable | wrong by > 1 m |\n|---|---|---|---|---|---|\n".to_owned();
     for bin in sorted.chunks(sorted.len().div_ceil(BINS).max(1)) {
-        let sigma = |row: &Record| row.forecast_m.unwrap_or_default();
+        let sigma = |row: &EpochRecord| row.forecast_m.unwrap_or_default();
         let (low, high) = (sigma(bin[0]), sigma(bin[bin.len() - 1]));
         let usable = usable(bin);
         let (p95, middle) = (cells::figures(&usable, NET), sigma(bin[bin.len() / 2]));
@@ -127,29 +127,30 @@ fn by_sigma(rows: &[&Record]) -> String {
             bin.len(),
             cells::cell(&usable, NET, 100.0, 1),
             cells::percent(bin, |row| row.usable),
-            cells::percent(bin, Record::wrong),
+            cells::percent(bin, EpochRecord::wrong),
         );
     }
     table
 }
 
-fn by_place(rows: &[&Record]) -> String {
-    let places: BTreeSet<&str> = rows.iter().map(|row| row.place).collect();
-    let mut table = "| place | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
-    for place in places {
-        let here: Vec<&Record> = rows.iter().copied().filter(|row| row.place == place).collect();
+fn by_site_kind(rows: &[&EpochRecord]) -> String {
+    let site_kinds: BTreeSet<&str> = rows.iter().map(|row| row.site_kind).collect();
+    let mut table = "| site | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
+    for site_kind in site_kinds {
+        let here: Vec<&EpochRecord> = rows.iter().copied().filter(|row| row.site_kind == site_kind).collect();
         let expected = |word| cells::percent(&here, |row| row.forecast == word);
-        let trusted: Vec<&Record> = here.iter().copied().filter(|row| row.forecast == "USABLE").collect();
+        let trusted: Vec<&EpochRecord> =
+            here.iter().copied().filter(|row| row.forecast == "USABLE").collect();
         let _ = writeln!(
             table,
-            "| {place} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {site_kind} | {} | {} | {} | {} | {} | {} | {} |",
             here.len(),
             expected("USABLE"),
             expected("AMBIGUOUS"),
             expected("TOO_LITTLE_STRUCTURE"),
             cells::percent(&here, |row| row.usable),
-            cells::percent(&here, Record::wrong),
-            cells::percent(&trusted, Record::wrong),
+            cells::percent(&here, EpochRecord::wrong),
+            cells::percent(&trusted, EpochRecord::wrong),
         );
     }
     table
@@ -159,21 +160,28 @@ fn by_place(rows: &[&Record]) -> String {
 mod tests {
     use super::*;
 
-    fn row(place: &'static str, forecast: &'static str, sigma_m: f64, error_m: f64) -> Record {
+    fn row(site_kind: &'static str, forecast: &'static str, sigma_m: f64, error_m: f64) -> EpochRecord {
         let (net_m, forecast_m) = (Some(error_m), Some(sigma_m));
-        let of = Record { place, forecast, forecast_m, net_m, along_m: error_m, ..Record::default() };
-        Record { usable: error_m < 1.0, method: Name::Echofix.word(), ..of }
+        let of = EpochRecord {
+            site_kind,
+            forecast,
+            forecast_m,
+            net_m,
+            along_m: error_m,
+            ..EpochRecord::default()
+        };
+        EpochRecord { usable: error_m < 1.0, method: MethodName::Echofix.word(), ..of }
     }
 
     /// Catches bins that are not sorted by what was expected, and scenes counted among towns.
     #[test]
     fn what_was_expected_is_set_beside_what_came() {
         let base = Condition::default();
-        let mut rows: Vec<Record> =
+        let mut rows: Vec<EpochRecord> =
             (1..=10).map(|k| row("town", "USABLE", 0.01 * f64::from(k), 0.02 * f64::from(k))).collect();
         rows.reverse();
         rows.push(row("tunnel", "AMBIGUOUS", 0.9, 3.0));
-        rows.push(Record { forecast: "", ..row("town", "", 0.5, 0.1) });
+        rows.push(EpochRecord { forecast: "", ..row("town", "", 0.5, 0.1) });
         let figures = figures(&rows, &base);
         assert!((figures["rank_correlation"].as_f64().unwrap() - 1.0).abs() < 1e-12);
         assert_eq!(figures["scenes"], json!({ "fixes": 1, "expected_usable": 0 }));

@@ -1,4 +1,4 @@
-//! Worlds of recorded drives: any drive logs take the place of simulated ones.
+//! Worlds of recorded drives: any drive logs stand for simulated ones.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use echofix_core::odometry::Trajectory;
 use super::map::on_grid;
 use super::world::Drives;
 
-/// What kind of place a log is.
+/// What kind of site a log is.
 pub const LOG: &str = "log";
 
 /// A drive to localize on the map of others.
@@ -27,7 +27,7 @@ pub fn drives(localized: &Path, mapping: &[PathBuf], known_odometry: bool) -> an
         drive.odometry = of_known_poses(&drive)?;
     }
     Ok(Drives {
-        place: LOG,
+        site_kind: LOG,
         name: localized.display().to_string(),
         mapping: mapping.iter().map(|path| read(path)).collect::<anyhow::Result<_>>()?,
         localized: drive,
@@ -56,7 +56,7 @@ mod tests {
     use crate::evaluate::condition::Condition;
     use crate::evaluate::epoch::epochs;
     use crate::evaluate::map::Movers;
-    use crate::evaluate::world::World;
+    use crate::evaluate::world::EvaluationWorld;
     use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
     #[test]
@@ -72,8 +72,8 @@ mod tests {
         }
         let drives = drives(&path(3), &[path(0)], true).unwrap();
         let exact = drives.localized.odometry.clone();
-        let world = World::new(0, drives, &[1], 0.3).unwrap();
-        assert!(world.map(1, Movers::Dropped).is_ok() && world.map(2, Movers::Kept).is_err());
+        let world = EvaluationWorld::new(0, drives, &[1], 0.3).unwrap();
+        assert!(world.map(1, Movers::Excluded).is_ok() && world.map(2, Movers::Included).is_err());
         assert!(epochs(&world, 1.0, 100, 5).len() > 5);
         let (first, last) = (exact.first().unwrap(), exact.last().unwrap());
         let truth = |t| world.truth.at(t).unwrap();

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context;
+use echofix_core::drive::segment::{SegmentLimits, usable_segments};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{EvidenceAccumulator, Pass};
 use echofix_core::gate::{Gate, gate_scan};
@@ -14,24 +15,24 @@ use echofix_core::tile::{Ledger, Tile};
 use echofix_core::time::DAY_US;
 use echofix_core::window::{EvidenceWindow, MapSquare};
 
-/// Reference poses farther apart than this are not interpolated between, microseconds.
-const MAX_POSE_GAP_US: i64 = 500_000;
+/// Reference poses farther apart than this are not interpolated between, seconds.
+const MAX_POSE_GAP_S: f64 = 0.5;
 
 /// What becomes of detections that move, by their radial speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Movers {
     /// They stay: the paper has no such gate.
-    Kept,
+    Included,
     /// They are left out.
-    Dropped,
+    Excluded,
 }
 
 impl Movers {
     /// The paper's gates of speed and range, with or without that of movers.
     pub fn gate(self) -> Gate {
         match self {
-            Self::Dropped => Gate::default(),
-            Self::Kept => Gate { max_doppler_residual_mps: f64::INFINITY, ..Gate::default() },
+            Self::Excluded => Gate::default(),
+            Self::Included => Gate { max_doppler_residual_mps: f64::INFINITY, ..Gate::default() },
         }
     }
 }
@@ -88,13 +89,13 @@ impl RadarMap {
         let grid = Grid::new(self.zone)?;
         let scans = gated(drive, self.key.movers);
         let (mut gathering, mut day) = (EvidenceAccumulator::default(), None);
-        for poses in stretches(&drive.reference, max_sigma_m) {
+        for poses in usable_segments(&drive.reference, &mapped_from(max_sigma_m)) {
             let scale = grid.scale_factor(poses[0].at)?;
             let trajectory = on_grid(&grid, poses)?;
             let from = scans.partition_point(|s| s.time_us < poses[0].time_us);
             let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
-            // Movers are gone already, and odometry told them better than absolute poses would.
-            let gate = Movers::Kept.gate();
+            // Movers are gone already, and odometry tells them better than absolute poses would.
+            let gate = Movers::Included.gate();
             gathering.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
             day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
         }
@@ -104,10 +105,10 @@ impl RadarMap {
                 drive.vehicle
             )
         })?;
-        for (id, share) in gathering.finish(0).tiles {
+        for (id, evidence) in gathering.finish(0).tiles {
             // A drive goes in at once, so that no ledger has to remember it.
             let pass = Pass { day, contributor };
-            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &share);
+            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &evidence);
         }
         Ok(())
     }
@@ -131,7 +132,7 @@ impl RadarMap {
 /// The drive's scans, without its movers where they are dropped.
 pub fn gated(drive: &Drive, movers: Movers) -> Vec<Scan> {
     let mut scans = drive.scans.clone();
-    if movers == Movers::Dropped {
+    if movers == Movers::Excluded {
         let limit_mps = movers.gate().max_doppler_residual_mps;
         for scan in &mut scans {
             let velocity = drive.odometry.velocity_at(scan.time_us);
@@ -155,12 +156,14 @@ pub fn on_grid(grid: &Grid, poses: &[GeoPose]) -> anyhow::Result<Trajectory> {
     Ok::<_, odometry::Error>(trajectory).map_err(Into::into)
 }
 
-/// Runs of poses that are known well enough and leave no gap.
-pub fn stretches(poses: &[GeoPose], max_sigma_m: f64) -> impl Iterator<Item = &[GeoPose]> {
-    let known = move |p: &GeoPose| p.sigma_position_m <= max_sigma_m;
-    poses
-        .chunk_by(move |a, b| b.time_us - a.time_us <= MAX_POSE_GAP_US && known(a) == known(b))
-        .filter(move |run| run.len() > 1 && known(&run[0]))
+/// What poses a map is made from: those known to `max_sigma_m` or better, whatever their heading's sigma.
+pub fn mapped_from(max_sigma_m: f64) -> SegmentLimits {
+    SegmentLimits {
+        max_sigma_position_m: max_sigma_m,
+        max_sigma_yaw_rad: f64::INFINITY,
+        max_pose_gap_s: MAX_POSE_GAP_S,
+        max_speed_mps: f64::INFINITY,
+    }
 }
 
 #[cfg(test)]
@@ -168,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stretches_end_at_gaps_and_uncertain_poses() {
+    fn segments_end_at_gaps_and_uncertain_poses() {
         let pose = |time_us, sigma_position_m| GeoPose { time_us, sigma_position_m, ..GeoPose::default() };
         let poses = [
             pose(0, 0.1),
@@ -179,7 +182,7 @@ mod tests {
             pose(2_000_000, 0.1),
             pose(2_100_000, 0.1),
         ];
-        let lengths: Vec<_> = stretches(&poses, 0.3).map(<[_]>::len).collect();
+        let lengths: Vec<_> = usable_segments(&poses, &mapped_from(0.3)).map(<[_]>::len).collect();
         assert_eq!(lengths, [2, 2, 2]);
     }
 }

@@ -9,7 +9,7 @@ use echofix_core::align::drift::DriftPrior;
 use echofix_core::align::fft::Plans;
 use echofix_core::align::image::MapImage;
 use echofix_core::align::pipeline::Pipeline;
-use echofix_core::align::verdict::{Integrity, Verdict};
+use echofix_core::align::verdict::{Integrity, Protection, Verdict};
 use echofix_core::align::weights::TileWeights;
 use echofix_core::align::{Aligner, CorrelationWorkspace, EngineKind, Search, Task, fast_global_align};
 use echofix_core::batch::Batch;
@@ -26,20 +26,9 @@ use super::map::{MapKey, Movers, RadarMap};
 /// Integrity risk that protection levels are asked for.
 pub const RISK: f64 = 1e-3;
 
-/// Bounds of the error, at [`RISK`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Protection {
-    /// Along the heading, metres.
-    pub along_m: f64,
-    /// Across it, metres.
-    pub cross_m: f64,
-    /// Radians.
-    pub yaw_rad: f64,
-}
-
 /// What a method says.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
+pub struct MethodAnswer {
     /// Map metres and radians from grid east.
     pub pose: Pose2,
     /// Of (east m, north m, yaw rad), when the method knows one.
@@ -58,7 +47,7 @@ pub struct Outcome {
     pub elapsed: Duration,
 }
 
-impl Outcome {
+impl MethodAnswer {
     /// A pose of a method that never says no.
     fn unjudged(pose: Pose2) -> Self {
         let (covariance, protection, margin) = (None, None, None);
@@ -83,12 +72,12 @@ pub trait Method: Send {
     /// What becomes of movers, in its map and in its batches.
     fn movers(&self) -> Movers;
     /// Finds the pose of a batch on a map.
-    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome;
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer;
 }
 
 /// A method by its name on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Name {
+pub enum MethodName {
     /// The paper's: the hypothesis of the highest correlation.
     Paper,
     /// The same without movers, and with odometry that radial speeds corrected.
@@ -105,7 +94,7 @@ pub enum Name {
     NoDoppler,
 }
 
-impl Name {
+impl MethodName {
     /// What the ablation compares, from the paper's method on.
     pub const LADDER: [Self; 7] =
         [Self::Paper, Self::Gated, Self::Weights, Self::Rigid, Self::Echofix, Self::NoDoppler, Self::Exact];
@@ -116,7 +105,7 @@ impl Name {
             Self::Paper => "paper",
             Self::Gated => "paper, without movers",
             Self::Weights => "log weights, highest hypothesis",
-            Self::Rigid => "log weights, climbed, rigid batch",
+            Self::Rigid => "log weights, refined, rigid batch",
             Self::Echofix => "echofix",
             Self::NoDoppler => "echofix without radial speeds",
             Self::Exact => "echofix, exact search",
@@ -127,8 +116,8 @@ impl Name {
     pub fn method(self, windows: &Arc<Windows>) -> Box<dyn Method> {
         let windows = Arc::clone(windows);
         match self {
-            Self::Paper => Box::new(Paper::new(self, windows, Movers::Kept)),
-            Self::Gated => Box::new(Paper::new(self, windows, Movers::Dropped)),
+            Self::Paper => Box::new(Paper::new(self, windows, Movers::Included)),
+            Self::Gated => Box::new(Paper::new(self, windows, Movers::Excluded)),
             Self::Weights => Box::new(Highest { windows, pipeline: Pipeline::default() }),
             Self::Echofix => Box::new(Echofix::new(self, windows)),
             Self::Exact => Box::new(Echofix { engine: EngineKind::Bounded, ..Echofix::new(self, windows) }),
@@ -137,7 +126,7 @@ impl Name {
                 rigid.search.drift = DriftPrior { position_mps: 1e-5, yaw_radps: 1e-6, ..rigid.search.drift };
                 Box::new(rigid)
             }
-            Self::NoDoppler => Box::new(Echofix { movers: Movers::Kept, ..Echofix::new(self, windows) }),
+            Self::NoDoppler => Box::new(Echofix { movers: Movers::Included, ..Echofix::new(self, windows) }),
         }
     }
 }
@@ -194,14 +183,14 @@ impl Windows {
 
 /// The paper's method: the hypothesis of the highest correlation of the occupancy grids.
 struct Paper {
-    name: Name,
+    name: MethodName,
     windows: Arc<Windows>,
     workspace: CorrelationWorkspace,
     movers: Movers,
 }
 
 impl Paper {
-    fn new(name: Name, windows: Arc<Windows>, movers: Movers) -> Self {
+    fn new(name: MethodName, windows: Arc<Windows>, movers: Movers) -> Self {
         Self { name, windows, workspace: CorrelationWorkspace::default(), movers }
     }
 }
@@ -215,7 +204,7 @@ impl Method for Paper {
         self.movers
     }
 
-    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let search = self.windows.search;
         let image = self.windows.occupancy(map, self.windows.frame(map, prior));
         let began = Instant::now();
@@ -227,7 +216,7 @@ impl Method for Paper {
             }
             _ => 0.0,
         };
-        Outcome { second, elapsed, ..Outcome::unjudged(pose) }
+        MethodAnswer { second, elapsed, ..MethodAnswer::unjudged(pose) }
     }
 }
 
@@ -239,14 +228,14 @@ struct Highest {
 
 impl Method for Highest {
     fn name(&self) -> &'static str {
-        Name::Weights.word()
+        MethodName::Weights.word()
     }
 
     fn movers(&self) -> Movers {
-        Movers::Dropped
+        Movers::Excluded
     }
 
-    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let search = self.windows.search;
         let frame = self.windows.frame(map, prior);
         self.pipeline.assemble(frame, &self.windows.weights(map, frame));
@@ -257,13 +246,13 @@ impl Method for Highest {
         let score = |rank: usize| found.get(rank).map_or(0.0, |candidate| candidate.score);
         let best = found.first().map_or(Pose2::IDENTITY, |candidate| candidate.correction);
         let second = if score(0) > 0.0 { score(1) / score(0) } else { 0.0 };
-        Outcome { second, elapsed, ..Outcome::unjudged(prior.corrected(&best)) }
+        MethodAnswer { second, elapsed, ..MethodAnswer::unjudged(prior.corrected(&best)) }
     }
 }
 
 /// What the service answers, whole or with a step left out.
 struct Echofix {
-    name: Name,
+    name: MethodName,
     windows: Arc<Windows>,
     aligner: Aligner,
     engine: EngineKind,
@@ -272,9 +261,9 @@ struct Echofix {
 }
 
 impl Echofix {
-    fn new(name: Name, windows: Arc<Windows>) -> Self {
+    fn new(name: MethodName, windows: Arc<Windows>) -> Self {
         let search = windows.search;
-        let (engine, movers) = (EngineKind::Fast, Movers::Dropped);
+        let (engine, movers) = (EngineKind::Fast, Movers::Excluded);
         Self { name, windows, aligner: Aligner::default(), engine, search, movers }
     }
 }
@@ -288,7 +277,7 @@ impl Method for Echofix {
         self.movers
     }
 
-    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> Outcome {
+    fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let integrity = Integrity::default();
         let frame = self.windows.frame(map, prior);
         let tiles = self.windows.weights(map, frame);
@@ -300,7 +289,7 @@ impl Method for Echofix {
         let finite = answer.covariance.iter().flatten().all(|v| v.is_finite());
         let protection =
             Protection { along_m: levels.along_m, cross_m: levels.cross_m, yaw_rad: levels.yaw_rad };
-        Outcome {
+        MethodAnswer {
             pose: answer.pose,
             covariance: finite.then_some(answer.covariance),
             usable: answer.verdict == Verdict::Usable,

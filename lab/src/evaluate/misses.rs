@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::condition::{Condition, Experiment};
-use super::method::Name;
-use super::record::Record;
+use super::method::MethodName;
+use super::record::EpochRecord;
 use super::section::Section;
 use echofix_harness::percentiles::Percentiles;
 
-/// Answers this near each other came from one hill, metres.
+/// Answers this near each other came from one candidate, metres.
 const SAME_M: f64 = 0.1;
 
 /// Two answers to one question.
 struct Pair<'a> {
-    fast: &'a Record,
-    exact: &'a Record,
+    fast: &'a EpochRecord,
+    exact: &'a EpochRecord,
 }
 
 impl Pair<'_> {
@@ -29,15 +29,15 @@ impl Pair<'_> {
 }
 
 /// The section: both searches were asked the same questions.
-pub fn section(rows: &[&Record], base: Condition) -> Section {
+pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let pairs = pairs(rows, base);
-    let mut by_place: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();
+    let mut by_site_kind: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();
     for pair in &pairs {
-        by_place.entry(pair.fast.place).or_default().push(pair);
+        by_site_kind.entry(pair.fast.site_kind).or_default().push(pair);
     }
     let columns = [
         "questions",
-        "another hill",
+        "another candidate",
         "of them usable",
         "of those wrong by > 1 m",
         "usable by the exact search, lost by the fast one",
@@ -45,14 +45,14 @@ pub fn section(rows: &[&Record], base: Condition) -> Section {
         "exact, ms 50 / 99 %",
     ];
     let mut text = format!(
-        "## Does the fast search find the maximum?\n\n`fast` looks at the best hills of a coarse image; `bounded` proves its maximum. Answers more than {:.0} cm apart \
-         came from different hills.\n\n| | {} |\n|{}\n",
+        "## Does the fast search find the maximum?\n\n`fast` looks at the best candidates of a coarse image; `bounded` proves its maximum. Answers more than {:.0} cm apart \
+         came from different candidates.\n\n| | {} |\n|{}\n",
         100.0 * SAME_M,
         columns.join(" | "),
         "---|".repeat(columns.len() + 1)
     );
-    for (place, pairs) in &by_place {
-        let _ = writeln!(text, "| {place} | {} |", line(pairs).join(" | "));
+    for (site_kind, pairs) in &by_site_kind {
+        let _ = writeln!(text, "| {site_kind} | {} |", line(pairs).join(" | "));
     }
     let all: Vec<_> = pairs.iter().collect();
     let _ = writeln!(text, "| all | {} |", line(&all).join(" | "));
@@ -78,12 +78,12 @@ fn line(pairs: &[&Pair<'_>]) -> [String; 7] {
     ]
 }
 
-fn pairs<'a>(rows: &[&'a Record], base: Condition) -> Vec<Pair<'a>> {
-    let of = |name: Name| {
+fn pairs<'a>(rows: &[&'a EpochRecord], base: Condition) -> Vec<Pair<'a>> {
+    let of = |name: MethodName| {
         let rows = rows.iter().copied().filter(move |r| r.method == name.word() && r.condition == base);
         rows.map(|row| ((&row.world, row.epoch, row.prior), row)).collect::<BTreeMap<_, _>>()
     };
-    let (fast, exact) = (of(Name::Echofix), of(Name::Exact));
+    let (fast, exact) = (of(MethodName::Echofix), of(MethodName::Exact));
     let pair = |(question, exact)| Some(Pair { fast: fast.get(&question)?, exact });
     exact.into_iter().filter_map(pair).collect()
 }
@@ -94,22 +94,22 @@ mod tests {
 
     #[test]
     fn answers_to_one_question_are_compared() {
-        let row = |method: Name, epoch: usize, along_m: f64, usable: bool| Record {
-            place: "town",
+        let row = |method: MethodName, epoch: usize, along_m: f64, usable: bool| EpochRecord {
+            site_kind: "town",
             method: method.word(),
             epoch,
             along_m,
             usable,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         let rows = [
-            row(Name::Echofix, 0, 0.1, true),
-            row(Name::Exact, 0, 0.15, true),
-            row(Name::Echofix, 1, 3.0, true),
-            row(Name::Exact, 1, 0.1, true),
-            row(Name::Echofix, 2, 3.0, false),
-            row(Name::Exact, 2, 0.1, true),
-            row(Name::Exact, 3, 0.1, true),
+            row(MethodName::Echofix, 0, 0.1, true),
+            row(MethodName::Exact, 0, 0.15, true),
+            row(MethodName::Echofix, 1, 3.0, true),
+            row(MethodName::Exact, 1, 0.1, true),
+            row(MethodName::Echofix, 2, 3.0, false),
+            row(MethodName::Exact, 2, 0.1, true),
+            row(MethodName::Exact, 3, 0.1, true),
         ];
         let shown = section(&rows.iter().collect::<Vec<_>>(), Condition::default()).text;
         assert!(shown.contains("| all | 3 | 2 | 1 | 1 | 1 |"), "{shown}");

@@ -44,7 +44,7 @@ pub struct Panel {
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Shares of the epochs above an error, on a logarithmic axis, as in the paper's figures.
+/// Fraction of the epochs above an error, on a logarithmic axis, as in the paper's figures.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -56,7 +56,7 @@ pub fn ccdfs(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
             chart
                 .configure_mesh()
                 .x_desc(panel.x)
-                .y_desc("share of the epochs above")
+                .y_desc("fraction of the epochs above")
                 .label_style(("sans-serif", 15))
                 .light_line_style(TRANSPARENT)
                 .draw()?;
@@ -71,10 +71,10 @@ pub fn ccdfs(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
 fn clipped(points: &[(f64, f64)], x_max: f64) -> Vec<(f64, f64)> {
     let beyond = points.partition_point(|(x, _)| *x <= x_max);
     let mut inside = points[..beyond].to_vec();
-    if let (Some(&(_, share)), true) = (inside.last(), beyond < points.len()) {
-        inside.push((x_max, share));
+    if let (Some(&(_, fraction)), true) = (inside.last(), beyond < points.len()) {
+        inside.push((x_max, fraction));
     }
-    inside.retain(|(_, share)| *share >= 1e-3);
+    inside.retain(|(_, fraction)| *fraction >= 1e-3);
     inside
 }
 
@@ -87,8 +87,8 @@ pub fn rocs(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
         let mut chart = framed(&areas[0], title).build_cartesian_2d(0.0..1.0, 0.0..1.0)?;
         chart
             .configure_mesh()
-            .x_desc("right answers refused, share")
-            .y_desc("wrong answers refused, share")
+            .x_desc("right answers refused, fraction")
+            .y_desc("wrong answers refused, fraction")
             .label_style(("sans-serif", 15))
             .light_line_style(TRANSPARENT)
             .draw()?;

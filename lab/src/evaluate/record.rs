@@ -5,17 +5,18 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::Serialize;
 
 use super::condition::Condition;
-use super::method::Outcome;
+use super::method::MethodAnswer;
 
 /// A fix farther off than this is wrong, metres.
 pub const WRONG_M: f64 = 1.0;
 
 /// One fix beside the truth.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Record {
-    /// What kind of place: a town, a scene, a log.
-    pub place: &'static str,
-    /// Name of the world.
+pub struct EpochRecord {
+    /// What kind of site: a town, a scene, a log.
+    #[serde(rename = "place")]
+    pub site_kind: &'static str,
+    /// MethodName of the world.
     pub world: String,
     /// Epoch within the world, from 0.
     pub epoch: usize,
@@ -88,13 +89,13 @@ pub struct Record {
     pub margin: Option<f64>,
     /// Milliseconds of the fix.
     pub ms: f64,
-    /// What the map alone expects of a fix at the true place; empty where it was not asked.
+    /// What the map alone expects of a fix at the true position; empty where it was not asked.
     pub forecast: &'static str,
     /// Its horizontal sigma, without the map's own error, metres.
     pub forecast_m: Option<f64>,
     /// Its sigma along the weakest axis, with the map's own error, metres.
     pub forecast_weakest_m: Option<f64>,
-    /// Its margin over the best place elsewhere, nats.
+    /// Its margin over the best pose elsewhere, nats.
     pub forecast_margin: Option<f64>,
 }
 
@@ -112,10 +113,10 @@ pub struct Facts {
     pub floor: Option<Pose2>,
 }
 
-impl Record {
+impl EpochRecord {
     /// The row with what a method answered.
     #[must_use]
-    pub fn answered(mut self, outcome: &Outcome, facts: &Facts) -> Self {
+    pub fn answered(mut self, outcome: &MethodAnswer, facts: &Facts) -> Self {
         let off = facts.truth.between(&outcome.pose);
         (self.along_m, self.cross_m) = (off.x_m / facts.scale, off.y_m / facts.scale);
         self.yaw_deg = off.yaw_rad.to_degrees();
@@ -189,8 +190,8 @@ fn nees(truth: &Pose2, answer: &Pose2, covariance: [[f64; 3]; 3]) -> (Option<f64
         wrap_angle(answer.yaw_rad - truth.yaw_rad),
     );
     let all = Matrix3::from_fn(|i, j| covariance[i][j]);
-    let place: Matrix2<f64> = all.fixed_view::<2, 2>(0, 0).into();
-    let two = place.cholesky().map(|c| {
+    let horizontal: Matrix2<f64> = all.fixed_view::<2, 2>(0, 0).into();
+    let two = horizontal.cholesky().map(|c| {
         let e = Vector2::new(error.x, error.y);
         e.dot(&c.solve(&e))
     });
@@ -204,10 +205,19 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
     use std::time::Duration;
 
-    fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> Outcome {
+    fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> MethodAnswer {
         let elapsed = Duration::from_millis(7);
         let (protection, second, margin) = (None, 0.5, Some(20.0));
-        Outcome { pose, covariance, usable: true, verdict: "USABLE", protection, second, margin, elapsed }
+        MethodAnswer {
+            pose,
+            covariance,
+            usable: true,
+            verdict: "USABLE",
+            protection,
+            second,
+            margin,
+            elapsed,
+        }
     }
 
     #[test]
@@ -216,8 +226,8 @@ mod tests {
         let reference = Some(Pose2::new(100.3, 50.2, FRAC_PI_2));
         let drifted = Pose2::new(100.0, 49.0, FRAC_PI_2);
         let facts = Facts { truth, reference, drifted, scale: 0.5, floor: None };
-        let row =
-            Record::default().answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
+        let row = EpochRecord::default()
+            .answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
         assert!((row.along_m - 0.4).abs() < 1e-9 && (row.cross_m + 0.2).abs() < 1e-9);
         assert!((row.yaw_deg - 0.01_f64.to_degrees()).abs() < 1e-9);
         assert!((row.reference_m.unwrap() - 0.4).abs() < 1e-9);
@@ -236,15 +246,15 @@ mod tests {
     #[test]
     fn an_error_in_any_direction_can_exceed_its_level() {
         let level = Some(0.5);
-        let row = Record {
+        let row = EpochRecord {
             protection_along_m: level,
             protection_cross_m: level,
             protection_yaw_deg: level,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         assert!(!row.beyond_protection());
-        assert!(Record { cross_m: -0.6, ..row.clone() }.beyond_protection());
-        assert!(Record { yaw_deg: 0.6, ..row }.beyond_protection());
-        assert!(!Record { along_m: 9.0, ..Record::default() }.beyond_protection());
+        assert!(EpochRecord { cross_m: -0.6, ..row.clone() }.beyond_protection());
+        assert!(EpochRecord { yaw_deg: 0.6, ..row }.beyond_protection());
+        assert!(!EpochRecord { along_m: 9.0, ..EpochRecord::default() }.beyond_protection());
     }
 }

@@ -10,16 +10,16 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::condition::Condition;
-use super::epoch::{Asked, Epoch, ask, epochs, prior};
+use super::epoch::{Epoch, EpochBatch, ask, epochs, prior};
 use super::localizability::Forecaster;
 use super::map::Movers;
-use super::method::{Method, Name, Windows};
-use super::record::{Facts, Record};
-use super::world::World;
+use super::method::{Method, MethodName, Windows};
+use super::record::{EpochRecord, Facts};
+use super::world::EvaluationWorld;
 
 /// How much is asked.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
+pub struct EvaluationPlan {
     /// Seconds of driving between epochs.
     pub every_s: f64,
     /// Epochs of a world, at most.
@@ -33,16 +33,16 @@ pub struct Plan {
     /// Seed of priors and drift.
     pub seed: u64,
     /// The methods, in the order of the tables.
-    pub methods: Vec<Name>,
+    pub methods: Vec<MethodName>,
     /// Further methods, and under which conditions they are asked; at swept epochs only.
-    pub variants: Vec<(Name, Condition)>,
+    pub variants: Vec<(MethodName, Condition)>,
     /// Is the map asked what it expects of fixes?
     pub forecasts: bool,
 }
 
-impl Plan {
+impl EvaluationPlan {
     /// All methods, each once.
-    fn all_methods(&self) -> Vec<Name> {
+    fn all_methods(&self) -> Vec<MethodName> {
         let mut all = self.methods.clone();
         for (name, _) in &self.variants {
             if !all.contains(name) {
@@ -53,12 +53,12 @@ impl Plan {
     }
 
     /// All methods, for one thread.
-    fn ready(&self, windows: &Arc<Windows>) -> Vec<(Name, Box<dyn Method>)> {
+    fn ready(&self, windows: &Arc<Windows>) -> Vec<(MethodName, Box<dyn Method>)> {
         self.all_methods().into_iter().map(|name| (name, name.method(windows))).collect()
     }
 
     /// Is a method asked under a condition at an epoch?
-    fn asks(&self, name: Name, condition: &Condition, epoch: &Epoch) -> bool {
+    fn asks(&self, name: MethodName, condition: &Condition, epoch: &Epoch) -> bool {
         let variant = || self.variants.iter().any(|(n, c)| *n == name && c == condition);
         self.methods.contains(&name) || (epoch.swept && variant())
     }
@@ -69,12 +69,12 @@ impl Plan {
 /// # Errors
 /// When the world's drives do not fit together.
 pub fn run(
-    world: &World,
+    world: &EvaluationWorld,
     conditions: &[Condition],
-    plan: &Plan,
+    plan: &EvaluationPlan,
     windows: &Arc<Windows>,
     bar: &ProgressBar,
-) -> anyhow::Result<Vec<Record>> {
+) -> anyhow::Result<Vec<EpochRecord>> {
     let epochs = epochs(world, plan.every_s, plan.epochs, plan.swept);
     bar.inc_length(epochs.len() as u64);
     let rows = epochs.par_iter().map_init(
@@ -88,17 +88,17 @@ pub fn run(
             Ok(rows)
         },
     );
-    let rows: Vec<Vec<Record>> = rows.collect::<anyhow::Result<_>>()?;
+    let rows: Vec<Vec<EpochRecord>> = rows.collect::<anyhow::Result<_>>()?;
     Ok(rows.into_iter().flatten().collect())
 }
 
 fn at_epoch(
-    world: &World,
+    world: &EvaluationWorld,
     epoch: &Epoch,
     conditions: &[Condition],
-    plan: &Plan,
-    methods: &mut [(Name, Box<dyn Method>)],
-) -> anyhow::Result<Vec<Record>> {
+    plan: &EvaluationPlan,
+    methods: &mut [(MethodName, Box<dyn Method>)],
+) -> anyhow::Result<Vec<EpochRecord>> {
     let seed = seed_of(plan.seed, world.index, epoch.number);
     let mut rows = Vec::new();
     for condition in conditions {
@@ -106,7 +106,7 @@ fn at_epoch(
             continue;
         }
         let mut batches = BTreeMap::new();
-        for movers in [Movers::Kept, Movers::Dropped] {
+        for movers in [Movers::Included, Movers::Excluded] {
             if let Some(asked) = ask(world, epoch, condition, movers, seed)? {
                 batches.insert(movers, asked);
             }
@@ -127,14 +127,14 @@ fn at_epoch(
 
 /// One method's answer to one question.
 fn fix(
-    world: &World,
+    world: &EvaluationWorld,
     epoch: &Epoch,
     condition: &Condition,
-    asked: &Asked,
+    asked: &EpochBatch,
     (number, seed): (usize, u64),
     method: &mut dyn Method,
-) -> anyhow::Result<Record> {
-    let Asked { batch, cells, drifted } = asked;
+) -> anyhow::Result<EpochRecord> {
+    let EpochBatch { batch, cells, drifted } = asked;
     let Some(truth) = world.truth.at(epoch.time_us) else { anyhow::bail!("the truth ends within the drive") };
     // Every condition and method starts from the same errors, drawn around what it can find.
     let prior = prior(drifted, world.scale, seed.wrapping_add(number as u64));
@@ -142,8 +142,8 @@ fn fix(
     let floor = world.floor.around(&truth, condition.contributors);
     let reference = world.reference.at(epoch.time_us);
     let facts = Facts { truth, reference, drifted: *drifted, scale: world.scale, floor };
-    let row = Record {
-        place: world.place,
+    let row = EpochRecord {
+        site_kind: world.site_kind,
         world: world.name.clone(),
         epoch: epoch.number,
         block: epoch.block,
@@ -160,7 +160,7 @@ fn fix(
         speed_mps: batch.speed_mps,
         points: batch.points.len(),
         cells: *cells,
-        ..Record::default()
+        ..EpochRecord::default()
     };
     Ok(row.answered(&outcome, &facts))
 }

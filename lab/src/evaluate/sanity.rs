@@ -5,7 +5,7 @@ use echofix_sim::Scene;
 
 use super::condition::Condition;
 use super::groups::{methods, of_method};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::simulated::is_scene;
 use echofix_harness::percentiles::Percentiles;
 
@@ -13,46 +13,47 @@ use echofix_harness::percentiles::Percentiles;
 const MEDIAN_M: f64 = 0.35;
 /// The same of the heading, degrees: half a step of the search, and some.
 const MEDIAN_DEG: f64 = 0.5;
-/// Share of wrong answers that no method exceeds: several times the usual.
+/// Fraction of wrong answers that no method exceeds: several times the usual.
 const MOST_WRONG: f64 = 0.08;
-/// Share of wrong answers among the usable ones of a method that judges.
+/// Fraction of wrong answers among the usable ones of a method that judges.
 const MOST_WRONG_USABLE: f64 = 0.02;
-/// Share of the answers that a method that judges may call usable where nothing stands.
+/// Fraction of the answers that a method that judges may call usable where nothing stands.
 const MOST_USABLE_IN_A_FIELD: f64 = 0.1;
-/// Share of the answers that a method must call usable in a town.
+/// Fraction of the answers that a method must call usable in a town.
 const LEAST_USABLE: f64 = 0.3;
 
 /// Checks the headline's fixes.
 ///
 /// # Errors
 /// Naming what is out of bounds.
-pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
+pub fn check(rows: &[EpochRecord], base: &Condition) -> anyhow::Result<()> {
     let all = rows;
-    let rows: Vec<&Record> = rows.iter().filter(|r| !is_scene(r.place) && r.condition == *base).collect();
+    let rows: Vec<&EpochRecord> =
+        rows.iter().filter(|r| !is_scene(r.site_kind) && r.condition == *base).collect();
     ensure!(!rows.is_empty(), "not a single fix was asked for");
     for method in methods(&rows) {
         let rows = of_method(&rows, method);
-        let share = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
+        let fraction = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
         let position = Percentiles::of(rows.iter().map(|r| r.error_m()));
         let heading = Percentiles::of(rows.iter().map(|r| r.yaw_deg.abs()));
         let (Some(position), Some(heading)) = (position, heading) else { continue };
         ensure!(position.p50 < MEDIAN_M, "{method}: the median error is {:.2} m", position.p50);
         ensure!(heading.p50 < MEDIAN_DEG, "{method}: the median heading error is {:.2} deg", heading.p50);
-        let wrong = share(rows.iter().filter(|r| r.wrong()).count(), rows.len());
+        let wrong = fraction(rows.iter().filter(|r| r.wrong()).count(), rows.len());
         ensure!(wrong < MOST_WRONG, "{method}: {:.1} % are wrong by a metre", 100.0 * wrong);
         let usable: Vec<_> = rows.iter().filter(|r| r.usable).collect();
-        let available = share(usable.len(), rows.len());
+        let available = fraction(usable.len(), rows.len());
         ensure!(available > LEAST_USABLE, "{method}: only {:.0} % are usable", 100.0 * available);
         if usable.len() < rows.len() {
-            let wrong = share(usable.iter().filter(|r| r.wrong()).count(), usable.len());
+            let wrong = fraction(usable.iter().filter(|r| r.wrong()).count(), usable.len());
             ensure!(
                 wrong < MOST_WRONG_USABLE,
                 "{method}: {:.1} % of the usable answers are wrong by a metre",
                 100.0 * wrong
             );
             let field: Vec<_> =
-                all.iter().filter(|r| r.method == method && r.place == Scene::OpenField.name()).collect();
-            let usable = share(field.iter().filter(|r| r.usable).count(), field.len());
+                all.iter().filter(|r| r.method == method && r.site_kind == Scene::OpenField.name()).collect();
+            let usable = fraction(field.iter().filter(|r| r.usable).count(), field.len());
             ensure!(usable < MOST_USABLE_IN_A_FIELD, "{method}: an open field is called usable");
         }
     }
@@ -63,12 +64,12 @@ pub fn check(rows: &[Record], base: &Condition) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    fn rows(wrong: usize, usable: bool) -> Vec<Record> {
-        let row = |k| Record {
+    fn rows(wrong: usize, usable: bool) -> Vec<EpochRecord> {
+        let row = |k| EpochRecord {
             method: "m",
             along_m: if k < wrong { 5.0 } else { 0.1 },
             usable: usable || k >= wrong + 3,
-            ..Record::default()
+            ..EpochRecord::default()
         };
         (0..100).map(row).collect()
     }
@@ -78,12 +79,17 @@ mod tests {
         let base = Condition::default();
         assert!(check(&rows(2, true), &base).is_ok());
         assert!(check(&rows(7, false), &base).is_ok());
-        let reason = |rows: &[Record]| check(rows, &base).unwrap_err().to_string();
+        let reason = |rows: &[EpochRecord]| check(rows, &base).unwrap_err().to_string();
         assert!(reason(&rows(20, true)).contains("20.0 % are wrong"));
         assert!(reason(&rows(60, true)).contains("median error is 5.00 m"));
         assert!(reason(&[]).contains("not a single fix"));
         let mut field = rows(2, false);
-        field.push(Record { method: "m", place: Scene::OpenField.name(), usable: true, ..Record::default() });
+        field.push(EpochRecord {
+            method: "m",
+            site_kind: Scene::OpenField.name(),
+            usable: true,
+            ..EpochRecord::default()
+        });
         assert!(reason(&field).contains("open field"));
         let mut few = rows(0, true);
         few[1..].iter_mut().for_each(|r| r.usable = false);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::condition::{Condition, Experiment};
 use super::plots::{self, Curve, Panel};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::simulated::is_scene;
 use super::tables::ALERT_M;
 
@@ -52,8 +52,8 @@ impl Section {
 }
 
 /// Rows of a condition: of the town or log, not of the scenes.
-pub fn under<'a>(rows: &[&'a Record], condition: &Condition, swept: bool) -> Vec<&'a Record> {
-    let in_town = |r: &&&Record| !is_scene(r.place);
-    let asked = |r: &&&Record| r.condition == *condition && (!swept || r.swept);
+pub fn under<'a>(rows: &[&'a EpochRecord], condition: &Condition, swept: bool) -> Vec<&'a EpochRecord> {
+    let in_town = |r: &&&EpochRecord| !is_scene(r.site_kind);
+    let asked = |r: &&&EpochRecord| r.condition == *condition && (!swept || r.swept);
     rows.iter().filter(in_town).filter(asked).copied().collect()
 }

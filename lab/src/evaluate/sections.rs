@@ -4,10 +4,10 @@ use echofix_core::align::verdict::Integrity;
 
 use super::condition::{Condition, Experiment};
 use super::groups::{Groups, methods, of_method};
-use super::method::{Name, RISK};
+use super::method::{MethodName, RISK};
 use super::plots::{Curve, Panel};
-use super::record::Record;
-use super::run::Plan;
+use super::record::EpochRecord;
+use super::run::EvaluationPlan;
 use super::section::{Figure, Section, under};
 use super::statistics::ccdf::ccdf;
 use super::statistics::roc::roc;
@@ -15,10 +15,15 @@ use super::tables;
 use super::{ablation, localizability, misses};
 
 /// The section of an experiment.
-pub fn section(experiment: Experiment, rows: &[Record], plan: &Plan, crowds: &[usize]) -> Section {
+pub fn section(
+    experiment: Experiment,
+    rows: &[EpochRecord],
+    plan: &EvaluationPlan,
+    crowds: &[usize],
+) -> Section {
     let base = plan.base;
-    let all: Vec<&Record> = rows.iter().collect();
-    let named = |names: &[Name]| -> Vec<&Record> {
+    let all: Vec<&EpochRecord> = rows.iter().collect();
+    let named = |names: &[MethodName]| -> Vec<&EpochRecord> {
         let words: Vec<_> = names.iter().map(|name| name.word()).collect();
         all.iter().copied().filter(|row| words.contains(&row.method)).collect()
     };
@@ -36,7 +41,7 @@ pub fn section(experiment: Experiment, rows: &[Record], plan: &Plan, crowds: &[u
     }
 }
 
-fn by_method<'a>(rows: &[&'a Record]) -> Groups<'a> {
+fn by_method<'a>(rows: &[&'a EpochRecord]) -> Groups<'a> {
     methods(rows).into_iter().map(|name| (name.to_owned(), of_method(rows, name))).collect()
 }
 
@@ -44,7 +49,7 @@ fn image(title: &str, file: &str) -> String {
     format!("![{title}](figures/{file})\n")
 }
 
-fn headline(rows: &[&Record], base: Condition) -> Section {
+fn headline(rows: &[&EpochRecord], base: Condition) -> Section {
     let rows = under(rows, &base, false);
     let groups = by_method(&rows);
     let text = [
@@ -69,7 +74,7 @@ fn headline(rows: &[&Record], base: Condition) -> Section {
     Section { experiment: Experiment::Headline, text, figures, data: None }
 }
 
-fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> Section {
+fn swept(experiment: Experiment, rows: &[&EpochRecord], conditions: &[Condition]) -> Section {
     let (title, words, file) = match experiment {
         Experiment::Batch => (
             "Batch length",
@@ -110,8 +115,8 @@ fn swept(experiment: Experiment, rows: &[&Record], conditions: &[Condition]) -> 
 
 /// Horizontal and heading errors of groups, a colour each.
 fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
-    let curves = |error: fn(&Record) -> f64| -> Vec<Curve> {
-        let curve = |(colour, (name, rows)): (usize, &(String, Vec<&Record>))| Curve {
+    let curves = |error: fn(&EpochRecord) -> f64| -> Vec<Curve> {
+        let curve = |(colour, (name, rows)): (usize, &(String, Vec<&EpochRecord>))| Curve {
             name: name.clone(),
             colour,
             points: ccdf(rows.iter().map(|row| error(row))),
@@ -123,7 +128,7 @@ fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
             title: format!("{prefix}horizontal position"),
             x: "error, m",
             x_max: 1.5,
-            curves: curves(Record::error_m),
+            curves: curves(EpochRecord::error_m),
         },
         Panel {
             title: format!("{prefix}heading"),
@@ -134,16 +139,16 @@ fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
     ]
 }
 
-fn ambiguity(rows: &[&Record], base: Condition) -> Section {
-    let all: Vec<&Record> = rows.iter().copied().filter(|r| r.condition == base).collect();
+fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
+    let all: Vec<&EpochRecord> = rows.iter().copied().filter(|r| r.condition == base).collect();
     let mut groups = Groups::new();
     for (method, rows) in by_method(&all) {
-        let mut places: Vec<&str> = rows.iter().map(|r| r.place).collect();
-        places.sort_unstable();
-        places.dedup();
-        for place in places {
-            let here = rows.iter().copied().filter(|r| r.place == place).collect();
-            groups.push((format!("{method}, {place}"), here));
+        let mut site_kinds: Vec<&str> = rows.iter().map(|r| r.site_kind).collect();
+        site_kinds.sort_unstable();
+        site_kinds.dedup();
+        for site_kind in site_kinds {
+            let here = rows.iter().copied().filter(|r| r.site_kind == site_kind).collect();
+            groups.push((format!("{method}, {site_kind}"), here));
         }
     }
     let curves: Vec<(Curve, String)> = by_method(&all)
@@ -172,7 +177,7 @@ fn ambiguity(rows: &[&Record], base: Condition) -> Section {
 }
 
 /// How a method's margins, or relative scores, tell wrong answers, as a curve and in a line of words.
-fn detector(colour: usize, name: &str, rows: &[&Record]) -> Option<(Curve, String)> {
+fn detector(colour: usize, name: &str, rows: &[&EpochRecord]) -> Option<(Curve, String)> {
     let found = roc(rows.iter().map(|row| (row.doubt(), row.wrong())))?;
     let line = format!(
         "\n{name}: area under the curve {:.3} ({} wrong, {} right); refusing 5 % of the right answers finds {:.0} % of the wrong ones, refusing 20 % finds {:.0} %.\n",

@@ -7,14 +7,14 @@ use rayon::prelude::*;
 
 use super::world::Drives;
 
-/// What kind of place a town is.
+/// What kind of site a town is.
 pub const TOWN: &str = "town";
 /// Days from the mapping drives to the localized one: from Thursday to Sunday, as in the paper.
 const DAYS_LATER: u32 = 3;
 
 /// Is it one of the streets made to be mistaken?
-pub fn is_scene(place: &str) -> bool {
-    Scene::ALL.iter().any(|scene| scene.name() == place)
+pub fn is_scene(site_kind: &str) -> bool {
+    Scene::ALL.iter().any(|scene| scene.name() == site_kind)
 }
 
 /// A town of a seed, driven through by `contributors` on day 0 and by another vehicle days later.
@@ -36,14 +36,14 @@ pub fn scene(scene: Scene, seed: u64) -> anyhow::Result<Drives> {
     drives(&scene.city(seed)?, scene.name(), seed, 1)
 }
 
-fn drives(city: &City, place: &'static str, seed: u64, contributors: usize) -> anyhow::Result<Drives> {
+fn drives(city: &City, site_kind: &'static str, seed: u64, contributors: usize) -> anyhow::Result<Drives> {
     let number = |vehicle: usize| seed * 1000 + vehicle as u64;
     let mapping = (0..contributors)
         .into_par_iter()
         .map(|vehicle| drive(city, 0, &Route::survey(city, number(vehicle)), number(vehicle)))
         .collect::<anyhow::Result<_>>()?;
     let localized = drive(city, DAYS_LATER, &Route::survey(city, number(0)), number(999))?;
-    Ok(Drives { place, name: format!("{place} {seed}"), mapping, localized })
+    Ok(Drives { site_kind, name: format!("{site_kind} {seed}"), mapping, localized })
 }
 
 /// A drive on a day, counted from the first; its odometry is left without errors.

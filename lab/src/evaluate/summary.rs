@@ -5,13 +5,13 @@ use serde_json::{Value, json};
 use super::condition::{Condition, Experiment};
 use super::groups::{methods, of_method};
 use super::localizability;
-use super::record::Record;
+use super::record::EpochRecord;
 use super::simulated::is_scene;
 use echofix_harness::percentiles::Percentiles;
 
 /// Figures by experiment, condition and method; then the tables of the experiments that have towns of their own.
 pub fn of(
-    rows: &[Record],
+    rows: &[EpochRecord],
     experiments: &[Experiment],
     base: Condition,
     crowds: &[usize],
@@ -27,11 +27,11 @@ pub fn of(
         }
         for condition in experiment.conditions(base, crowds) {
             let streets = *experiment == Experiment::Ambiguity;
-            let of_all = |r: &&Record| {
+            let of_all = |r: &&EpochRecord| {
                 let everywhere = matches!(experiment, Experiment::Headline | Experiment::Ambiguity);
-                r.condition == condition && is_scene(r.place) == streets && (everywhere || r.swept)
+                r.condition == condition && is_scene(r.site_kind) == streets && (everywhere || r.swept)
             };
-            let rows: Vec<&Record> = rows.iter().filter(of_all).collect();
+            let rows: Vec<&EpochRecord> = rows.iter().filter(of_all).collect();
             for method in methods(&rows) {
                 let name = condition.name(*experiment);
                 let experiment = experiment.word();
@@ -47,18 +47,18 @@ pub fn of(
     Value::Array(all)
 }
 
-fn figures(rows: &[&Record]) -> Value {
-    let of = |quantity: fn(&Record) -> f64| Percentiles::of(rows.iter().map(|r| quantity(r)));
-    let count = |hit: fn(&Record) -> bool| rows.iter().filter(|r| hit(r)).count();
+fn figures(rows: &[&EpochRecord]) -> Value {
+    let of = |quantity: fn(&EpochRecord) -> f64| Percentiles::of(rows.iter().map(|r| quantity(r)));
+    let count = |hit: fn(&EpochRecord) -> bool| rows.iter().filter(|r| hit(r)).count();
     json!({
         "fixes": rows.len(),
-        "horizontal_m": of(Record::error_m),
+        "horizontal_m": of(EpochRecord::error_m),
         "along_m": of(|r| r.along_m.abs()),
         "cross_m": of(|r| r.cross_m.abs()),
         "heading_deg": of(|r| r.yaw_deg.abs()),
         "offset_m": of(|r| r.offset_m),
         "offset_deg": of(|r| r.offset_deg),
-        "wrong": count(Record::wrong),
+        "wrong": count(EpochRecord::wrong),
         "usable": count(|r| r.usable),
         "wrong_usable": count(|r| r.usable && r.wrong()),
         "beyond_protection_usable": count(|r| r.usable && r.beyond_protection()),
@@ -73,8 +73,13 @@ mod tests {
     #[test]
     fn figures_come_by_condition_and_method() {
         let base = Condition::default();
-        let row =
-            |method, place, along_m| Record { method, place, along_m, usable: true, ..Record::default() };
+        let row = |method, site_kind, along_m| EpochRecord {
+            method,
+            site_kind,
+            along_m,
+            usable: true,
+            ..EpochRecord::default()
+        };
         let rows = [row("a", "town", 2.0), row("b", "town", 0.1), row("a", "tunnel", 3.0)];
         let tables = vec![(Experiment::Upload, json!([1]))];
         let all = of(&rows, &[Experiment::Headline, Experiment::Ambiguity], base, &[1], tables);

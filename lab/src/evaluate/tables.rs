@@ -7,7 +7,7 @@ use super::cells::{
     REFERENCE_HEADING, bounds, cell, cluster, figures, percent, short,
 };
 use super::groups::{Groups, usable};
-use super::record::Record;
+use super::record::EpochRecord;
 use super::statistics::bootstrap::Estimate;
 use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, calibration};
 
@@ -15,7 +15,11 @@ use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, calibration};
 pub const ALERT_M: f64 = 0.5;
 
 /// A table with a first column of names.
-fn table(groups: &Groups<'_>, columns: &[&str], line: impl Fn(&[&Record]) -> Option<Vec<String>>) -> String {
+fn table(
+    groups: &Groups<'_>,
+    columns: &[&str],
+    line: impl Fn(&[&EpochRecord]) -> Option<Vec<String>>,
+) -> String {
     let mut table = format!("| | {} |\n|{}\n", columns.join(" | "), "---|".repeat(columns.len() + 1));
     for (name, rows) in groups {
         if let Some(cells) = line(rows) {
@@ -47,7 +51,7 @@ pub fn errors(groups: &Groups<'_>) -> String {
             cell(rows, CROSS, 100.0, 0),
             cell(rows, HEADING, 1.0, 2),
             percent(rows, |row| row.error_m() > ALERT_M),
-            percent(rows, Record::wrong),
+            percent(rows, EpochRecord::wrong),
             cell(rows, FLOOR, 100.0, 0),
             cell(rows, REFERENCE, 100.0, 0),
             cell(rows, REFERENCE_HEADING, 1.0, 2),
@@ -75,9 +79,9 @@ pub fn sweep(groups: &Groups<'_>) -> String {
             short(rows, CROSS, 100.0, 0),
             cell(rows, HEADING, 1.0, 2),
             percent(rows, |row| row.error_m() > ALERT_M),
-            percent(rows, Record::wrong),
+            percent(rows, EpochRecord::wrong),
             percent(rows, |row| row.usable),
-            percent(&usable(rows), Record::wrong),
+            percent(&usable(rows), EpochRecord::wrong),
             short(rows, FLOOR, 100.0, 0),
         ])
     })
@@ -104,9 +108,9 @@ pub fn drifted(groups: &Groups<'_>) -> String {
             short(rows, ALONG, 100.0, 0),
             short(rows, CROSS, 100.0, 0),
             short(rows, HEADING, 1.0, 2),
-            percent(rows, Record::wrong),
+            percent(rows, EpochRecord::wrong),
             percent(rows, |row| row.usable),
-            percent(&usable(rows), Record::wrong),
+            percent(&usable(rows), EpochRecord::wrong),
         ])
     })
 }
@@ -128,12 +132,12 @@ pub fn integrity(groups: &Groups<'_>) -> String {
         let leveled: Vec<_> = good.iter().copied().filter(|row| row.protection_m().is_some()).collect();
         Some(vec![
             percent(rows, |row| row.usable),
-            percent(rows, Record::wrong),
-            percent(&good, Record::wrong),
+            percent(rows, EpochRecord::wrong),
+            percent(&good, EpochRecord::wrong),
             cell(&good, HORIZONTAL, 100.0, 0),
             cell(&good, HEADING, 1.0, 2),
-            percent(&leveled, Record::beyond_protection),
-            short(&leveled, Record::protection_m, 100.0, 0),
+            percent(&leveled, EpochRecord::beyond_protection),
+            short(&leveled, EpochRecord::protection_m, 100.0, 0),
             cell(rows, NET, 100.0, 0),
         ])
     })
@@ -163,7 +167,7 @@ pub fn covariance(groups: &Groups<'_>) -> String {
     })
 }
 
-/// What becomes of answers where places are easily mistaken.
+/// What becomes of answers where positions are easily mistaken.
 pub fn ambiguity(groups: &Groups<'_>) -> String {
     let columns = [
         "fixes",
@@ -176,9 +180,9 @@ pub fn ambiguity(groups: &Groups<'_>) -> String {
         let second = figures(rows, |row| Some(row.second));
         Some(vec![
             rows.len().to_string(),
-            percent(rows, Record::wrong),
+            percent(rows, EpochRecord::wrong),
             percent(rows, |row| row.usable),
-            percent(&usable(rows), Record::wrong),
+            percent(&usable(rows), EpochRecord::wrong),
             second.first().map_or_else(|| "-".to_owned(), |median| format!("{:.2}", median.value)),
         ])
     })
@@ -198,7 +202,7 @@ mod tests {
 
     #[test]
     fn every_table_has_a_line_a_group_and_a_cell_a_column() {
-        let row = |k: usize| Record {
+        let row = |k: usize| EpochRecord {
             world: "w".to_owned(),
             block: k,
             method: if k.is_multiple_of(2) { "a" } else { "b" },
@@ -208,9 +212,9 @@ mod tests {
             nees_3: Some(3.0),
             protection_along_m: Some(0.3),
             protection_cross_m: Some(0.4),
-            ..Record::default()
+            ..EpochRecord::default()
         };
-        let rows: Vec<Record> = (0..60).map(row).collect();
+        let rows: Vec<EpochRecord> = (0..60).map(row).collect();
         let rows: Vec<_> = rows.iter().collect();
         assert_eq!(methods(&rows), ["a", "b"]);
         let groups: Groups<'_> = ["a", "b"].map(|name| (name.to_owned(), of_method(&rows, name))).into();

@@ -9,16 +9,16 @@ use echofix_core::odometry::Trajectory;
 use rayon::prelude::*;
 
 use super::crowd::map::CrowdMap;
-use super::crowd::uploads::{self, Sending};
+use super::crowd::uploads::{self, SentForm};
 use super::floor::Floor;
 use super::map::{MapKey, Movers, RadarMap, on_grid};
 
 /// Maps of one day and a drive on another.
-pub struct World {
+pub struct EvaluationWorld {
     /// Its number.
     pub index: usize,
-    /// What kind of place it is.
-    pub place: &'static str,
+    /// What kind of site it is.
+    pub site_kind: &'static str,
     /// Its name, with the seed or the log's.
     pub name: String,
     /// The drive that is localized.
@@ -38,8 +38,8 @@ pub struct World {
 
 /// Drives before they become a world.
 pub struct Drives {
-    /// What kind of place they are in.
-    pub place: &'static str,
+    /// What kind of site they are in.
+    pub site_kind: &'static str,
     /// Its name.
     pub name: String,
     /// Those that map, by the order in which they join the map.
@@ -48,15 +48,15 @@ pub struct Drives {
     pub localized: Drive,
 }
 
-impl World {
+impl EvaluationWorld {
     /// Maps the first so many drives for each of `crowds`, and lays out the truth of the other.
     ///
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
     pub fn new(index: usize, drives: Drives, crowds: &[usize], max_sigma_m: f64) -> anyhow::Result<Self> {
-        let Drives { place, name, mapping, localized } = drives;
+        let Drives { site_kind, name, mapping, localized } = drives;
         let grid = grid_of(&localized)?;
-        let both: Vec<_> = [Movers::Kept, Movers::Dropped]
+        let both: Vec<_> = [Movers::Included, Movers::Excluded]
             .into_par_iter()
             .map(|movers| {
                 let key = MapKey { world: index, contributors: 0, movers };
@@ -64,7 +64,7 @@ impl World {
             })
             .collect::<anyhow::Result<_>>()?;
         let floor = Floor::of(&grid, &mapping)?;
-        Self::with_maps(index, (place, name), localized, floor, both.into_iter().flatten())
+        Self::with_maps(index, (site_kind, name), localized, floor, both.into_iter().flatten())
     }
 
     /// A drive on maps that are there.
@@ -73,7 +73,7 @@ impl World {
     /// When there is no truth, or it is off the grid.
     pub fn with_maps(
         index: usize,
-        (place, name): (&'static str, String),
+        (site_kind, name): (&'static str, String),
         drive: Drive,
         floor: Floor,
         maps: impl IntoIterator<Item = RadarMap>,
@@ -83,7 +83,7 @@ impl World {
         let maps = maps.into_iter().map(|map| ((map.key.contributors, map.key.movers), map));
         Ok(Self {
             index,
-            place,
+            site_kind,
             name,
             odometry: drive.odometry.clone(),
             truth: on_grid(&grid, poses)?,
@@ -131,13 +131,13 @@ fn grown(
     max_sigma_m: f64,
 ) -> anyhow::Result<Vec<RadarMap>> {
     let most = crowds.iter().copied().max().unwrap_or(0);
-    let mut crowd = (map.key.movers == Movers::Dropped && most > 1).then(|| CrowdMap::new(map.zone()));
-    let mut kept = Vec::new();
+    let mut crowd = (map.key.movers == Movers::Excluded && most > 1).then(|| CrowdMap::new(map.zone()));
+    let mut grown_maps = Vec::new();
     for (before, drive) in drives.iter().take(most).enumerate() {
         let (contributor, count) = (before as u64, before + 1);
         if let Some(crowd) = &mut crowd {
             for upload in
-                uploads::cut(drive, map.zone(), Sending { max_sigma_m, ..Sending::of(contributor) })?
+                uploads::cut(drive, map.zone(), SentForm { max_sigma_m, ..SentForm::of(contributor) })?
             {
                 crowd.offer(&upload);
             }
@@ -147,11 +147,11 @@ fn grown(
         }
         if crowds.contains(&count) {
             let key = MapKey { contributors: count, ..map.key };
-            kept.push(match &crowd {
+            grown_maps.push(match &crowd {
                 Some(crowd) if count > 1 => crowd.whole(key),
                 _ => map.grown_from(count),
             });
         }
     }
-    Ok(kept)
+    Ok(grown_maps)
 }

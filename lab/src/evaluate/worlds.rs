@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use echofix_sim::Scene;
 
 use super::condition::Condition;
-use super::world::World;
+use super::world::EvaluationWorld;
 use super::{logged, simulated};
 
-/// A simulated place.
+/// A simulated world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Simulated {
     /// A town of a seed.
@@ -18,7 +18,7 @@ pub enum Simulated {
 }
 
 /// Which worlds are evaluated, one after the other: each needs its memory.
-pub enum Places {
+pub enum Worlds {
     /// Simulated ones.
     Simulated(Vec<Simulated>),
     /// A drive log on the map of others.
@@ -32,7 +32,7 @@ pub enum Places {
     },
 }
 
-impl Places {
+impl Worlds {
     /// Towns of some seeds, then each kind of street for the first two seeds of others (the first
     /// one when `quick`).
     pub fn simulated(towns: &[u64], streets: &[u64], quick: bool) -> Self {
@@ -53,7 +53,7 @@ impl Places {
     /// The conditions asked in one of them: in streets the headline's only.
     pub fn conditions(&self, index: usize, all: &[Condition], base: Condition) -> Vec<Condition> {
         match self {
-            Self::Simulated(places) if matches!(places[index], Simulated::Street(..)) => vec![base],
+            Self::Simulated(worlds) if matches!(worlds[index], Simulated::Street(..)) => vec![base],
             _ => all.to_vec(),
         }
     }
@@ -62,7 +62,12 @@ impl Places {
     ///
     /// # Errors
     /// When a log cannot be read, or a drive cannot be mapped from.
-    pub fn world(&self, index: usize, conditions: &[Condition], max_sigma_m: f64) -> anyhow::Result<World> {
+    pub fn world(
+        &self,
+        index: usize,
+        conditions: &[Condition],
+        max_sigma_m: f64,
+    ) -> anyhow::Result<EvaluationWorld> {
         let crowds: Vec<usize> = conditions.iter().map(|c| c.contributors).collect();
         let most = crowds.iter().copied().max().unwrap_or(1);
         let drives = match self {
@@ -72,7 +77,7 @@ impl Places {
             },
             Self::Logs { drive, map, known } => logged::drives(drive, map, *known)?,
         };
-        World::new(index, drives, &crowds, max_sigma_m)
+        EvaluationWorld::new(index, drives, &crowds, max_sigma_m)
     }
 
     /// In words.
@@ -82,7 +87,7 @@ impl Places {
         };
         let seeds: Vec<String> = all
             .iter()
-            .filter_map(|place| match place {
+            .filter_map(|world| match world {
                 Simulated::Town(seed) => Some(seed.to_string()),
                 Simulated::Street(..) => None,
             })
@@ -97,13 +102,13 @@ mod tests {
 
     #[test]
     fn streets_are_asked_the_headline_only() {
-        let places = Places::simulated(&[5, 6, 7], &[5, 6, 7], false);
-        assert_eq!(places.len(), 3 + 2 * 4);
+        let worlds = Worlds::simulated(&[5, 6, 7], &[5, 6, 7], false);
+        assert_eq!(worlds.len(), 3 + 2 * 4);
         let base = Condition::default();
         let all = [base, Condition { batch_s: 1.0, ..base }];
-        assert_eq!(places.conditions(0, &all, base).len(), 2);
-        assert_eq!(places.conditions(3, &all, base), [base]);
-        assert_eq!(places.words(), "Simulated towns of the seeds 5, 6, 7.");
-        assert_eq!(Places::simulated(&[5, 6], &[5, 6], true).len(), 2 + 4);
+        assert_eq!(worlds.conditions(0, &all, base).len(), 2);
+        assert_eq!(worlds.conditions(3, &all, base), [base]);
+        assert_eq!(worlds.words(), "Simulated towns of the seeds 5, 6, 7.");
+        assert_eq!(Worlds::simulated(&[5, 6], &[5, 6], true).len(), 2 + 4);
     }
 }

@@ -9,7 +9,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
 use echofix_sim::City;
 
-use super::uploads::{Sending, Upload, cut, cut_wrong};
+use super::uploads::{SentForm, VehicleUpload, cut, cut_wrong};
 
 /// Length of the wall that is made up, metres.
 pub const WALL_M: f64 = 20.0;
@@ -57,9 +57,9 @@ impl Attack {
         city: &City,
         drive: &Drive,
         contributor: u64,
-        honest: &[Upload],
-    ) -> anyhow::Result<Vec<Upload>> {
-        let (zone, sending) = (city.site().zone(), Sending::of(contributor));
+        honest: &[VehicleUpload],
+    ) -> anyhow::Result<Vec<VehicleUpload>> {
+        let (zone, sending) = (city.site().zone(), SentForm::of(contributor));
         match self {
             Self::None => Ok(honest.to_vec()),
             Self::Wall => {
@@ -71,8 +71,8 @@ impl Attack {
             }
             Self::Erase => {
                 let mut uploads = honest.to_vec();
-                for share in uploads.iter_mut().flat_map(|upload| upload.contribution.tiles.values_mut()) {
-                    share.cells.truncate(1);
+                for evidence in uploads.iter_mut().flat_map(|upload| upload.contribution.tiles.values_mut()) {
+                    evidence.cells.truncate(1);
                 }
                 Ok(uploads)
             }
@@ -102,8 +102,8 @@ pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
     let mut cells: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for step in -steps / 2..steps / 2 {
         let aside = f64::from(step) * CELL_M;
-        let place = site.to_map([0, 1].map(|axis| middle[axis] + aside * across[axis]));
-        let (id, index) = TileId::locate(site.zone(), CellIndex::of(place));
+        let position = site.to_map([0, 1].map(|axis| middle[axis] + aside * across[axis]));
+        let (id, index) = TileId::locate(site.zone(), CellIndex::of(position));
         let half = WALL_HITS * 128;
         let hit = CellHits { index, hits: WALL_HITS, offset_sum: [half, half] };
         cells.entry(id).or_default().insert(index, hit);
@@ -112,13 +112,13 @@ pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
 }
 
 /// Adds hits to an upload, in the tiles it tells of anyway.
-fn add(upload: &mut Upload, hits: &BTreeMap<TileId, Vec<CellHits>>) {
+fn add(upload: &mut VehicleUpload, hits: &BTreeMap<TileId, Vec<CellHits>>) {
     for (id, more) in hits {
-        let Some(share) = upload.contribution.tiles.get_mut(id) else { continue };
+        let Some(evidence) = upload.contribution.tiles.get_mut(id) else { continue };
         for hit in more {
-            match share.cells.binary_search_by_key(&hit.index, |cell| cell.index) {
-                Ok(at) => share.cells[at] = *hit,
-                Err(at) => share.cells.insert(at, *hit),
+            match evidence.cells.binary_search_by_key(&hit.index, |cell| cell.index) {
+                Ok(at) => evidence.cells[at] = *hit,
+                Err(at) => evidence.cells.insert(at, *hit),
             }
         }
     }
@@ -137,14 +137,14 @@ mod tests {
         let count: usize = wall.values().map(Vec::len).sum();
         assert!((140..=200).contains(&count), "{count}");
         let drive = town::drive(&city, 0, town::Way::Errand, 1).unwrap();
-        let total = |uploads: &[Upload]| -> usize {
-            let shares = uploads.iter().flat_map(|u| u.contribution.tiles.values());
-            shares.map(|share| share.cells.len()).sum()
+        let total = |uploads: &[VehicleUpload]| -> usize {
+            let evidence = uploads.iter().flat_map(|u| u.contribution.tiles.values());
+            evidence.map(|evidence| evidence.cells.len()).sum()
         };
-        let honest = cut(&drive, city.site().zone(), Sending::of(1)).unwrap();
+        let honest = cut(&drive, city.site().zone(), SentForm::of(1)).unwrap();
         let does = |attack: Attack| attack.uploads(&city, &drive, 1, &honest).unwrap();
         let bad = does(Attack::Wall);
-        let ordered = |u: &Upload| {
+        let ordered = |u: &VehicleUpload| {
             u.contribution.tiles.values().all(|s| s.cells.windows(2).all(|w| w[0].index < w[1].index))
         };
         assert!(bad.iter().all(ordered) && total(&bad) > total(&honest));

@@ -13,14 +13,14 @@ use super::attack::{self, Attack, WALL_M};
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, Upload, cut};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, VehicleUpload, cut};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
-use crate::evaluate::record::Record;
+use crate::evaluate::method::MethodName;
+use crate::evaluate::record::EpochRecord;
 
-/// Contributors that tell of a place before it is served.
+/// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
 /// Days that a bad contributor drives on, where a good one drives on one.
 const BAD_DAYS: u32 = 3;
@@ -43,7 +43,7 @@ const TRIED: [(Attack, usize); 11] = [
 /// A town and everybody's drives in it.
 struct Stage {
     city: City,
-    drives: Vec<Trip>,
+    drives: Vec<AttackTrip>,
     localized: Drive,
     /// Where the wall is made up, and a little around it: vetting moves uploads.
     wall: BTreeSet<(TileId, u32)>,
@@ -51,11 +51,11 @@ struct Stage {
 }
 
 /// Somebody's drive.
-struct Trip {
+struct AttackTrip {
     who: u64,
     drive: Drive,
     /// What he sends if he is good.
-    honest: Vec<Upload>,
+    honest: Vec<VehicleUpload>,
 }
 
 /// What has come of some drives.
@@ -69,12 +69,12 @@ struct Course {
 
 /// What came of an attack.
 #[derive(Default)]
-struct Outcome {
+struct AttackOutcome {
     /// See [`Course::uploads`].
     uploads: [[usize; 2]; 2],
     /// Served cells about the wall that only bad ones hit.
     phantoms: usize,
-    fixes: Vec<Record>,
+    fixes: Vec<EpochRecord>,
 }
 
 impl Stage {
@@ -88,7 +88,7 @@ impl Stage {
             .collect();
         let trip = |(number, (who, day)): (usize, &(u64, u32))| {
             let drive = town::drive(&city, *day, Way::Errand, number as u64)?;
-            Ok(Trip { who: *who, honest: cut(&drive, zone, Sending::of(*who))?, drive })
+            Ok(AttackTrip { who: *who, honest: cut(&drive, zone, SentForm::of(*who))?, drive })
         };
         let drives = trips.par_iter().enumerate().map(trip).collect::<anyhow::Result<_>>()?;
         let localized = town::drive(&city, contributors as u32 + 3, Way::Survey, 90_000)?;
@@ -113,7 +113,7 @@ impl Stage {
         count: usize,
         before: &Course,
         most: usize,
-    ) -> anyhow::Result<Outcome> {
+    ) -> anyhow::Result<AttackOutcome> {
         let bad = bad(self.contributors, count);
         let (map, hit) = (before.map.fork(), before.hit.clone());
         let mut course = Course { map, uploads: before.uploads, hit };
@@ -125,20 +125,27 @@ impl Stage {
         let cells = served.iter().flat_map(|(id, tile)| tile.cells().iter().map(|(index, _)| (*id, *index)));
         let phantoms = cells.filter(|cell| course.hit[1].contains(cell) && !course.hit[0].contains(cell));
         let phantoms = phantoms.count();
-        let key = MapKey { world: 0, contributors: count, movers: Movers::Dropped };
+        let key = MapKey { world: 0, contributors: count, movers: Movers::Excluded };
         let served = RadarMap::of_tiles(key, course.map.zone(), served);
-        let fixes = fixes(&served, &self.localized, Name::Echofix, most)?;
-        Ok(Outcome { uploads: course.uploads, phantoms, fixes })
+        let fixes = fixes(&served, &self.localized, MethodName::Echofix, most)?;
+        Ok(AttackOutcome { uploads: course.uploads, phantoms, fixes })
     }
 
-    fn add(&self, course: &mut Course, trip: &Trip, attack: Attack, is_bad: bool) -> anyhow::Result<()> {
+    fn add(
+        &self,
+        course: &mut Course,
+        trip: &AttackTrip,
+        attack: Attack,
+        is_bad: bool,
+    ) -> anyhow::Result<()> {
         for upload in attack.uploads(&self.city, &trip.drive, trip.who, &trip.honest)? {
             let folded = course.map.offer(&upload);
             let [all, quarantined] = &mut course.uploads[usize::from(is_bad)];
             *all += 1;
             *quarantined += usize::from(folded.is_none());
-            let shares = folded.iter().flatten();
-            let cells = shares.flat_map(|(id, share)| share.cells.iter().map(|cell| (*id, cell.index)));
+            let evidence = folded.iter().flatten();
+            let cells =
+                evidence.flat_map(|(id, evidence)| evidence.cells.iter().map(|cell| (*id, cell.index)));
             course.hit[usize::from(is_bad)].extend(cells.filter(|cell| self.wall.contains(cell)));
         }
         Ok(())
@@ -163,7 +170,7 @@ fn bad(contributors: u64, count: usize) -> Vec<u64> {
     (1..=count).map(|k| k * contributors / (count + 1)).collect()
 }
 
-impl Outcome {
+impl AttackOutcome {
     fn join(&mut self, other: Self) {
         for (sums, more) in self.uploads.iter_mut().zip(other.uploads) {
             sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
@@ -177,10 +184,10 @@ impl Outcome {
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let (contributors, most) = if scale.quick { (8, 40) } else { (20, 150) };
     let towns = scale.towns(1);
-    let mut all: Vec<Outcome> = TRIED.iter().map(|_| Outcome::default()).collect();
+    let mut all: Vec<AttackOutcome> = TRIED.iter().map(|_| AttackOutcome::default()).collect();
     for seed in towns {
         let stage = Stage::new(*seed, contributors)?;
         let before: Vec<_> =
@@ -191,9 +198,10 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         let tried: Vec<_> = tried.collect::<anyhow::Result<_>>()?;
         all.iter_mut().zip(tried).for_each(|(all, one)| all.join(one));
     }
-    let lines: Vec<_> = TRIED.iter().zip(&all).map(|(tried, outcome)| Line::of(*tried, outcome)).collect();
-    let table = table(&COLUMNS, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Attacks, &words(contributors), &table, towns, &lines)
+    let lines: Vec<_> =
+        TRIED.iter().zip(&all).map(|(tried, outcome)| AttackLine::of(*tried, outcome)).collect();
+    let table = table(&COLUMNS, lines.iter().map(AttackLine::cells));
+    CrowdSection::of_table(Experiment::Attacks, &words(contributors), &table, towns, &lines)
 }
 
 fn words(contributors: u64) -> String {
@@ -201,7 +209,7 @@ fn words(contributors: u64) -> String {
         "## Bad contributors
 
 {contributors} contributors drive 900 m each, on a day of their own; the bad ones among them on {BAD_DAYS} days. Served is what at least {LEAST}
-contributors told. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
+contributors support. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
 less than 30 cm from it, and in the honest line what of clutter is served there anyway. There the same vehicles drive as often and do
 nothing bad: that is the error before an attack.
 "
@@ -224,7 +232,7 @@ const COLUMNS: [&str; 11] = [
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct AttackLine {
     attack: String,
     attackers: usize,
     uploads: usize,
@@ -236,9 +244,9 @@ struct Line {
     summary: Summary,
 }
 
-impl Line {
-    fn of((attack, attackers): (Attack, usize), outcome: &Outcome) -> Self {
-        let Outcome { uploads: [good, [uploads, quarantined]], phantoms, fixes } = outcome;
+impl AttackLine {
+    fn of((attack, attackers): (Attack, usize), outcome: &AttackOutcome) -> Self {
+        let AttackOutcome { uploads: [good, [uploads, quarantined]], phantoms, fixes } = outcome;
         Self {
             attack: attack.words(),
             attackers,

@@ -9,10 +9,10 @@ use serde::Serialize;
 use crate::evaluate::condition::Condition;
 use crate::evaluate::floor::Floor;
 use crate::evaluate::map::RadarMap;
-use crate::evaluate::method::{Name, Windows};
-use crate::evaluate::record::Record;
-use crate::evaluate::run::{Plan, run};
-use crate::evaluate::world::{World, grid_of};
+use crate::evaluate::method::{MethodName, Windows};
+use crate::evaluate::record::EpochRecord;
+use crate::evaluate::run::{EvaluationPlan, run};
+use crate::evaluate::world::{EvaluationWorld, grid_of};
 use echofix_harness::percentiles::Percentiles;
 
 /// Prepared windows of one map, mebibytes.
@@ -22,13 +22,19 @@ const WINDOWS_MIB: u64 = 256;
 ///
 /// # Errors
 /// When the drive has no known poses.
-pub fn fixes(map: &RadarMap, drive: &Drive, method: Name, most: usize) -> anyhow::Result<Vec<Record>> {
+pub fn fixes(
+    map: &RadarMap,
+    drive: &Drive,
+    method: MethodName,
+    most: usize,
+) -> anyhow::Result<Vec<EpochRecord>> {
     let grid = grid_of(drive)?;
     let base = Condition { contributors: map.key.contributors, ..Condition::default() };
-    let place = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
+    let kind_and_name = (crate::evaluate::simulated::TOWN, drive.vehicle.clone());
     let floor = Floor::of(&grid, &[])?;
-    let world = World::with_maps(map.key.world, place, drive.clone(), floor, [map.clone()])?;
-    let plan = Plan {
+    let world =
+        EvaluationWorld::with_maps(map.key.world, kind_and_name, drive.clone(), floor, [map.clone()])?;
+    let plan = EvaluationPlan {
         every_s: 1.0,
         epochs: most,
         swept: most,
@@ -39,7 +45,7 @@ pub fn fixes(map: &RadarMap, drive: &Drive, method: Name, most: usize) -> anyhow
         variants: Vec::new(),
         forecasts: false,
     };
-    // Windows are known by the map's key, which other maps share: none is kept for the next one.
+    // Windows are known by the map's key, which other maps share: none is cached for the next one.
     let windows: Arc<Windows> = Windows::new(WINDOWS_MIB);
     run(&world, &[base], &plan, &windows, &ProgressBar::hidden())
 }
@@ -51,34 +57,34 @@ pub struct Summary {
     pub fixes: usize,
     /// 95 % of the horizontal errors are not above this, metres.
     pub p95_m: f64,
-    /// Share that is wrong by more than a metre.
+    /// Fraction that is wrong by more than a metre.
     pub wrong: f64,
-    /// Share that may be used.
+    /// Fraction that may be used.
     pub usable: f64,
-    /// Of these, the share that is wrong.
+    /// Of these, the fraction that is wrong.
     pub wrong_usable: f64,
 }
 
 impl Summary {
     /// Of some fixes.
-    pub fn of(rows: &[Record]) -> Self {
-        let share = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
+    pub fn of(rows: &[EpochRecord]) -> Self {
+        let fraction = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
         let usable = rows.iter().filter(|row| row.usable);
         let wrong_usable = usable.clone().filter(|row| row.wrong()).count();
         let usable = usable.count();
         Self {
             fixes: rows.len(),
-            p95_m: Percentiles::of(rows.iter().map(Record::error_m)).map_or(f64::NAN, |p| p.p95),
-            wrong: share(rows.iter().filter(|row| row.wrong()).count(), rows.len()),
-            usable: share(usable, rows.len()),
-            wrong_usable: share(wrong_usable, usable),
+            p95_m: Percentiles::of(rows.iter().map(EpochRecord::error_m)).map_or(f64::NAN, |p| p.p95),
+            wrong: fraction(rows.iter().filter(|row| row.wrong()).count(), rows.len()),
+            usable: fraction(usable, rows.len()),
+            wrong_usable: fraction(wrong_usable, usable),
         }
     }
 
     /// As a part of a table's line: 95 % error, wrong, usable, wrong of the usable.
     pub fn cells(&self) -> String {
         let Self { p95_m, wrong, usable, wrong_usable, .. } = self;
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
         format!(
             "{:.0} | {} | {} | {}",
             100.0 * p95_m,
@@ -95,10 +101,10 @@ mod tests {
 
     #[test]
     fn wrong_ones_are_counted_among_all_and_among_the_usable() {
-        let row = |k: usize| Record {
+        let row = |k: usize| EpochRecord {
             along_m: if k < 10 { 3.0 } else { 0.2 },
             usable: k.is_multiple_of(2),
-            ..Record::default()
+            ..EpochRecord::default()
         };
         let rows: Vec<_> = (0..100).map(row).collect();
         let summary = Summary::of(&rows);

@@ -1,4 +1,4 @@
-//! A map made the service's way: uploads are held against it, moved onto it and folded, or kept out.
+//! A map made the service's way: uploads are compared with it, moved onto it and folded, or kept out.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,20 +12,20 @@ use echofix_core::vetting::{
     Limits, MapSide, Offsets, Vetted, Vetter, has_other_contributors, moved_evidence,
 };
 
-use super::uploads::Upload;
+use super::uploads::VehicleUpload;
 use crate::evaluate::map::{MapKey, RadarMap};
 
 /// A map in one zone that grows by uploads.
 pub struct CrowdMap {
     zone: Zone,
-    told: Told,
+    folded: FoldedMap,
     vetter: Vetter,
     limits: Limits,
 }
 
 /// What has been folded.
 #[derive(Default)]
-struct Told {
+struct FoldedMap {
     tiles: BTreeMap<TileId, Tile>,
     ledgers: BTreeMap<TileId, Ledger>,
     prepared: Mutex<HashMap<TileId, Arc<TileWeights>>>,
@@ -34,14 +34,14 @@ struct Told {
 impl CrowdMap {
     /// An empty one.
     pub fn new(zone: Zone) -> Self {
-        Self { zone, told: Told::default(), vetter: Vetter::default(), limits: Limits::default() }
+        Self { zone, folded: FoldedMap::default(), vetter: Vetter::default(), limits: Limits::default() }
     }
 
     /// A copy that grows on its own.
     pub fn fork(&self) -> Self {
-        let Told { tiles, ledgers, .. } = &self.told;
-        let told = Told { tiles: tiles.clone(), ledgers: ledgers.clone(), prepared: Mutex::default() };
-        Self { zone: self.zone, told, vetter: Vetter::default(), limits: self.limits }
+        let FoldedMap { tiles, ledgers, .. } = &self.folded;
+        let folded = FoldedMap { tiles: tiles.clone(), ledgers: ledgers.clone(), prepared: Mutex::default() };
+        Self { zone: self.zone, folded, vetter: Vetter::default(), limits: self.limits }
     }
 
     /// The zone of its grid.
@@ -50,66 +50,67 @@ impl CrowdMap {
     }
 
     /// What vetting says of an upload, which is not folded.
-    pub fn vet(&mut self, upload: &Upload) -> Vetted {
+    pub fn vet(&mut self, upload: &VehicleUpload) -> Vetted {
         let cells: Vec<_> =
-            upload.contribution.tiles.iter().map(|(id, share)| (*id, &share.cells[..])).collect();
-        let others = Others { told: &self.told, contributor: upload.pass.contributor };
+            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
+        let others = OthersEvidence { folded: &self.folded, contributor: upload.pass.contributor };
         self.vetter.vet(&cells, &others, &self.limits)
     }
 
     /// Vets an upload and folds it: what was folded, `None` when it is quarantined.
-    pub fn offer(&mut self, upload: &Upload) -> Option<Vec<(TileId, TileEvidence)>> {
+    pub fn offer(&mut self, upload: &VehicleUpload) -> Option<Vec<(TileId, TileEvidence)>> {
         match self.vet(upload) {
-            Vetted::Agrees(offsets) | Vetted::New(offsets) => Some(self.told.fold(upload, &offsets)),
+            Vetted::Agrees(offsets) | Vetted::New(offsets) => Some(self.folded.fold(upload, &offsets)),
             Vetted::Quarantined { .. } => None,
         }
     }
 
-    /// Everything in it, whoever told it.
+    /// Everything in it, whoever contributed it.
     pub fn whole(&self, key: MapKey) -> RadarMap {
-        RadarMap::of_tiles(key, self.zone, self.told.tiles.clone())
+        RadarMap::of_tiles(key, self.zone, self.folded.tiles.clone())
     }
 
-    /// Its tiles as they are served: what so many contributors told, decayed to a day counted from the Unix epoch.
+    /// Its tiles as they are served: what so many contributors support, decayed to a day counted from the Unix epoch.
     pub fn published(&self, least: u8, today: Option<u16>) -> BTreeMap<TileId, Tile> {
         let decay = Decay::default();
         let served = |(id, tile): (&TileId, &Tile)| (*id, tile.published(least, today, &decay));
-        self.told.tiles.iter().map(served).filter(|(_, tile)| !tile.is_empty()).collect()
+        self.folded.tiles.iter().map(served).filter(|(_, tile)| !tile.is_empty()).collect()
     }
 }
 
-impl Told {
-    fn fold(&mut self, upload: &Upload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
+impl FoldedMap {
+    fn fold(&mut self, upload: &VehicleUpload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
         let mut folded = Vec::new();
-        let shares: Vec<_> = upload.contribution.tiles.iter().map(|(id, share)| (*id, share)).collect();
-        for (id, share, offset) in moved_evidence(&shares, offsets) {
+        let evidence: Vec<_> =
+            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, evidence)).collect();
+        for (id, evidence, offset) in moved_evidence(&evidence, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
-            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &share, offset);
+            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &evidence, offset);
             for near in id.with_neighbours() {
                 self.prepared.get_mut().unwrap_or_else(PoisonError::into_inner).remove(&near);
             }
-            folded.push((id, share));
+            folded.push((id, evidence));
         }
         folded
     }
 }
 
-/// The map without what only the upload's own contributor told.
-struct Others<'a> {
-    told: &'a Told,
+/// The map without what only the upload's own contributor contributed.
+struct OthersEvidence<'a> {
+    folded: &'a FoldedMap,
     contributor: u64,
 }
 
-impl MapSide for Others<'_> {
+impl MapSide for OthersEvidence<'_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
-        let Told { tiles, ledgers, prepared } = self.told;
+        let FoldedMap { tiles, ledgers, prepared } = self.folded;
         let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
-        let told = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
+        let others = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
         let mut prepared = prepared.lock().unwrap_or_else(PoisonError::into_inner);
-        told.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
+        others.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))
     }
 
     fn datum(&self, id: TileId) -> Datum {
-        self.told.tiles.get(&id).map(Tile::datum).unwrap_or_default()
+        self.folded.tiles.get(&id).map(Tile::datum).unwrap_or_default()
     }
 }

@@ -42,7 +42,7 @@ impl Scale {
 }
 
 /// Where the figures come from.
-fn places(towns: &[u64]) -> String {
+fn towns_in_words(towns: &[u64]) -> String {
     let seeds: Vec<_> = towns.iter().map(u64::to_string).collect();
     format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
 }
@@ -58,14 +58,14 @@ fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -
 }
 
 /// A part of the report, and the lines of its table for machines.
-pub struct Told {
+pub struct CrowdSection {
     /// For people.
     pub section: Section,
     /// For machines.
     pub lines: Value,
 }
 
-impl Told {
+impl CrowdSection {
     fn new<T: Serialize>(section: Section, lines: &[T]) -> anyhow::Result<Self> {
         Ok(Self { section, lines: serde_json::to_value(lines)? })
     }
@@ -78,7 +78,7 @@ impl Told {
         towns: &[u64],
         lines: &[T],
     ) -> anyhow::Result<Self> {
-        let (text, data) = (format!("{words}\n{table}"), Some(places(towns)));
+        let (text, data) = (format!("{words}\n{table}"), Some(towns_in_words(towns)));
         Self::new(Section { experiment, text, figures: Vec::new(), data }, lines)
     }
 }
@@ -87,7 +87,7 @@ impl Told {
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Told>> {
+pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<CrowdSection>> {
     Ok(Some(match experiment {
         Experiment::Year => year::run(scale)?,
         Experiment::Attacks => attacks::run(scale)?,

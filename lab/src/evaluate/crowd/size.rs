@@ -10,19 +10,19 @@ use serde::Serialize;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, Upload, cut};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, VehicleUpload, cut};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::cells;
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
-use crate::evaluate::record::Record;
+use crate::evaluate::method::MethodName;
+use crate::evaluate::record::EpochRecord;
 use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 
 const SIDE: u32 = CELLS_PER_TILE as u32;
 /// Bytes of a detection, sent as it is: range and azimuth.
 const DETECTION_BYTES: u64 = 8;
-/// Contributors of each map: as many as must have told of a place for it to be served.
+/// Contributors of each map: as many as must have hit something near a cell for it to be served.
 const CONTRIBUTORS: u64 = 3;
 
 /// What of a cell is sent.
@@ -30,9 +30,9 @@ const CONTRIBUTORS: u64 = 3;
 enum Form {
     /// The scans, of which the map keeps all it can.
     Scans,
-    /// The sum of the hits' places, each to so many steps of a cell.
+    /// The sum of the hits' positions, each to so many steps of a cell.
     Steps(u32),
-    /// Cells of 20 cm, and nothing of the places in them.
+    /// Cells of 20 cm, and nothing of the positions in them.
     Wide,
 }
 
@@ -51,9 +51,9 @@ impl Form {
         let now = if self == Self::Steps(SENT_STEPS) { " (as it is)" } else { "" };
         match self {
             Self::Scans => format!("scans, {DETECTION_BYTES} bytes a detection"),
-            Self::Steps(1) => format!("cells, no places within them{now}"),
-            Self::Steps(steps) => format!("cells, places within them to 1/{steps}{now}"),
-            Self::Wide => "cells of 20 cm, no places within them".to_owned(),
+            Self::Steps(1) => format!("cells, no positions within them{now}"),
+            Self::Steps(steps) => format!("cells, positions within them to 1/{steps}{now}"),
+            Self::Wide => "cells of 20 cm, no positions within them".to_owned(),
         }
     }
 
@@ -67,31 +67,31 @@ impl Form {
 
     /// Bytes of an upload.
     fn bytes(self, contribution: &EvidenceDelta) -> u64 {
-        let halved = |share: &TileEvidence| {
-            let cells = widened(&share.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
-            TileEvidence { cells, observed: share.observed }
+        let halved = |evidence: &TileEvidence| {
+            let cells = widened(&evidence.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
+            TileEvidence { cells, observed: evidence.observed }
         };
         match self {
             Self::Scans => DETECTION_BYTES * contribution.detections,
             Self::Steps(_) => codec::encode(contribution).len() as u64,
             Self::Wide => {
-                let tiles = contribution.tiles.iter().map(|(id, told)| (*id, halved(told))).collect();
+                let tiles = contribution.tiles.iter().map(|(id, evidence)| (*id, halved(evidence))).collect();
                 codec::encode(&EvidenceDelta { tiles, detections: contribution.detections }).len() as u64
             }
         }
     }
 
     /// The upload as the map gets it.
-    fn read(self, upload: &Upload) -> Upload {
+    fn read(self, upload: &VehicleUpload) -> VehicleUpload {
         let mut upload = upload.clone();
         if self == Self::Wide {
-            for share in upload.contribution.tiles.values_mut() {
+            for evidence in upload.contribution.tiles.values_mut() {
                 // The middle of four cells is a corner of the last of them.
-                let mut cells = widened(&share.cells, |x, y| (y | 1) * SIDE + (x | 1));
+                let mut cells = widened(&evidence.cells, |x, y| (y | 1) * SIDE + (x | 1));
                 for cell in &mut cells {
                     cell.offset_sum = [0, 0];
                 }
-                share.cells = cells;
+                evidence.cells = cells;
             }
         }
         upload
@@ -111,7 +111,7 @@ fn widened(cells: &[CellHits], index: impl Fn(u32, u32) -> u32) -> Vec<CellHits>
 /// Bytes of all uploads of a form, and the fixes on the map that they make.
 struct Worth {
     bytes: u64,
-    fixes: Vec<Record>,
+    fixes: Vec<EpochRecord>,
 }
 
 /// Every form's worth in one town, and the kilometres that its contributors drove.
@@ -125,9 +125,9 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
         let uploads = mapping
             .iter()
             .zip(0..)
-            .map(|(drive, who)| cut(drive, zone, Sending { steps: form.steps(), ..Sending::of(who) }));
+            .map(|(drive, who)| cut(drive, zone, SentForm { steps: form.steps(), ..SentForm::of(who) }));
         let uploads = uploads.collect::<anyhow::Result<Vec<_>>>()?.concat();
-        let fixes = fixes(&served(*form, &uploads, zone), &localized, Name::Echofix, most)?;
+        let fixes = fixes(&served(*form, &uploads, zone), &localized, MethodName::Echofix, most)?;
         Ok(Worth { bytes: uploads.iter().map(|upload| form.bytes(&upload.contribution)).sum(), fixes })
     };
     let worths = FORMS.par_iter().map(worth).collect::<anyhow::Result<_>>()?;
@@ -135,18 +135,18 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
 }
 
 /// The map that is served of some uploads.
-fn served(form: Form, uploads: &[Upload], zone: Zone) -> RadarMap {
+fn served(form: Form, uploads: &[VehicleUpload], zone: Zone) -> RadarMap {
     let mut map = CrowdMap::new(zone);
     for upload in uploads {
         map.offer(&form.read(upload));
     }
-    let key = MapKey { world: 0, contributors: CONTRIBUTORS as usize, movers: Movers::Dropped };
+    let key = MapKey { world: 0, contributors: CONTRIBUTORS as usize, movers: Movers::Excluded };
     RadarMap::of_tiles(key, zone, map.published(CONTRIBUTORS as u8, None))
 }
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct SizeLine {
     form: String,
     kilobytes_a_km: f64,
     /// 95 % error relative to the finest form's.
@@ -157,19 +157,19 @@ struct Line {
     summary: Summary,
 }
 
-impl Line {
+impl SizeLine {
     fn of(which: usize, all: &[(Vec<Worth>, f64)]) -> Self {
         let way_km: f64 = all.iter().map(|(_, km)| km).sum();
         let bytes: u64 = all.iter().map(|(worths, _)| worths[which].bytes).sum();
         // The same questions are asked of every map, in the same order.
         let pairs = all.iter().enumerate().flat_map(|(town, (worths, _))| {
             let rows = worths[which].fixes.iter().zip(&worths[0].fixes);
-            // An answer from another hill says nothing of how sharp a map is, and drowns what does.
+            // An answer from another candidate says nothing of how sharp a map is, and drowns what does.
             let right = rows.filter(|(ours, finest)| !ours.wrong() && !finest.wrong());
             right.map(move |(ours, finest)| ((ours.error_m(), finest.error_m()), (town, ours.block)))
         });
         let ratios = (which > 0).then(|| ratios(&pairs.collect::<Vec<_>>(), 0.95)).flatten();
-        let rows: Vec<Record> = all.iter().flat_map(|(worths, _)| worths[which].fixes.clone()).collect();
+        let rows: Vec<EpochRecord> = all.iter().flat_map(|(worths, _)| worths[which].fixes.clone()).collect();
         Self {
             form: FORMS[which].words(),
             kilobytes_a_km: bytes as f64 / 1e3 / way_km,
@@ -187,7 +187,7 @@ impl Line {
     }
 }
 
-const WORDS: &str = "## Upload size
+const WORDS: &str = "## VehicleUpload size
 
 What the uploads of three contributors take, by kilometre that each drives, and what the map that is served of them is then worth to
 another vehicle days later. The same questions are asked of every map; the ratios compare its errors with those of the finest one where
@@ -200,11 +200,11 @@ they lie tells it next to nothing.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let towns = scale.towns(4);
     let most = if scale.quick { 100 } else { 250 };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, most)).collect::<anyhow::Result<_>>()?;
-    let lines: Vec<_> = (0..FORMS.len()).map(|which| Line::of(which, &all)).collect();
+    let lines: Vec<_> = (0..FORMS.len()).map(|which| SizeLine::of(which, &all)).collect();
     let columns = [
         "",
         "kB a kilometre",
@@ -216,8 +216,8 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         "usable",
         "wrong, of the usable",
     ];
-    let table = table(&columns, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Upload, WORDS, &table, towns, &lines)
+    let table = table(&columns, lines.iter().map(SizeLine::cells));
+    CrowdSection::of_table(Experiment::Upload, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]
@@ -229,10 +229,10 @@ mod tests {
     fn wide_cells_hold_what_four_did() {
         let cell = |index, hits| CellHits { index, hits, offset_sum: [0, 0] };
         let cells = [cell(0, 1), cell(513, 3), cell(1023, 2)];
-        let told = |index: fn(u32, u32) -> u32| {
+        let widened_by = |index: fn(u32, u32) -> u32| {
             widened(&cells, index).iter().map(|cell| (cell.index, cell.hits)).collect::<Vec<_>>()
         };
-        assert_eq!(told(|x, y| (y | 1) * SIDE + (x | 1)), [(513, 4), (1023, 2)]);
-        assert_eq!(told(|x, y| y / 2 * (SIDE / 2) + x / 2), [(0, 4), (255, 2)]);
+        assert_eq!(widened_by(|x, y| (y | 1) * SIDE + (x | 1)), [(513, 4), (1023, 2)]);
+        assert_eq!(widened_by(|x, y| y / 2 * (SIDE / 2) + x / 2), [(0, 4), (255, 2)]);
     }
 }

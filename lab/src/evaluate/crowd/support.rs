@@ -15,16 +15,16 @@ use serde::Serialize;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, cut};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, cut};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
-use crate::evaluate::record::Record;
+use crate::evaluate::method::MethodName;
+use crate::evaluate::record::EpochRecord;
 
 /// Contributors of the maps; a bit each in a mask.
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
-/// Contributors that must have told of a place.
+/// Contributors that must have hit something near a cell.
 const LEAST: u32 = 3;
 /// Of them, those that must have hit a cell itself where that is asked for.
 const OWN: u32 = 2;
@@ -47,7 +47,7 @@ enum Rule {
     /// Three hit something in cells not farther off than this along each axis.
     Within(i64),
     /// The same, and not three, but so many in a hundred of those that drove there.
-    Share(i64, u32),
+    Fraction(i64, u32),
 }
 
 const RULES: [Rule; 9] = [
@@ -57,9 +57,9 @@ const RULES: [Rule; 9] = [
     Rule::Own(4),
     Rule::Within(2),
     Rule::Within(1),
-    Rule::Share(2, 50),
-    Rule::Share(1, 40),
-    Rule::Share(1, 20),
+    Rule::Fraction(2, 50),
+    Rule::Fraction(1, 40),
+    Rule::Fraction(1, 20),
 ];
 
 impl Rule {
@@ -70,7 +70,7 @@ impl Rule {
             Self::Block(cells) => format!("three in the same block of {} cm", cm(cells)),
             Self::Own(side) => format!("three in the same block of {} cm, two of them in the cell", cm(side)),
             Self::Within(cells) => format!("three in cells {} cm off or less", cm(cells)),
-            Self::Share(cells, percent) => {
+            Self::Fraction(cells, percent) => {
                 format!("{percent} % of all, at least three, in cells {} cm off or less", cm(cells))
             }
         }
@@ -80,7 +80,7 @@ impl Rule {
     fn least(self, contributors: u32) -> u32 {
         match self {
             Self::Any => 0,
-            Self::Share(_, percent) => LEAST.max((contributors * percent).div_ceil(100)),
+            Self::Fraction(_, percent) => LEAST.max((contributors * percent).div_ceil(100)),
             _ => LEAST,
         }
     }
@@ -93,7 +93,7 @@ impl Rule {
                 let low = |v: i64| v.div_euclid(side) * side;
                 [low(x), low(x) + side - 1, low(y), low(y) + side - 1]
             }
-            Self::Within(cells) | Self::Share(cells, _) => [x - cells, x + cells, y - cells, y + cells],
+            Self::Within(cells) | Self::Fraction(cells, _) => [x - cells, x + cells, y - cells, y + cells],
         }
     }
 }
@@ -122,7 +122,7 @@ impl Hits {
 }
 
 /// A town that somebody drives through who is not of the crowd.
-struct Visit {
+struct SupportVisit {
     city: City,
     drive: Drive,
     /// Fixes asked for, at most.
@@ -131,7 +131,7 @@ struct Visit {
     made_up: Vec<CellIndex>,
 }
 
-impl Visit {
+impl SupportVisit {
     fn new(seed: u64, most: usize) -> anyhow::Result<Self> {
         let city = town::small(seed)?;
         let drive = town::drive(&city, CROWDS[CROWDS.len() - 1] + 3, Way::Survey, 90_000)?;
@@ -157,49 +157,50 @@ impl Visit {
         contributors: u32,
         tiles: &BTreeMap<TileId, Tile>,
         hits: &Hits,
-    ) -> anyhow::Result<Outcome> {
+    ) -> anyhow::Result<SupportOutcome> {
         let least = rule.least(contributors);
-        let mut outcome = Outcome { made_up: [0, self.made_up.len()], ..Outcome::default() };
+        let mut outcome = SupportOutcome { made_up: [0, self.made_up.len()], ..SupportOutcome::default() };
         let mut served = BTreeMap::new();
         for (id, tile) in tiles {
             let is_served = |index: u32| least == 0 || hits.serves(rule, least, id.cell(index), 0);
-            let kept: Vec<_> = tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
-            outcome.served[0] += kept.len();
+            let served_cells: Vec<_> =
+                tile.cells().iter().filter(|(index, _)| is_served(*index)).copied().collect();
+            outcome.served[0] += served_cells.len();
             outcome.served[1] += tile.len();
-            served.extend(Tile::from_cells(kept).map(|tile| (*id, tile)));
+            served.extend(Tile::from_cells(served_cells).map(|tile| (*id, tile)));
         }
         // Who makes them up is one contributor more.
         let least = rule.least(contributors + 1);
         outcome.made_up[0] = self.made_up.iter().filter(|at| hits.serves(rule, least, **at, 1)).count();
-        let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Dropped };
+        let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Excluded };
         let served = RadarMap::of_tiles(key, self.city.site().zone(), served);
-        outcome.fixes = fixes(&served, &self.drive, Name::Echofix, self.most)?;
+        outcome.fixes = fixes(&served, &self.drive, MethodName::Echofix, self.most)?;
         Ok(outcome)
     }
 }
 
 /// What comes of a rule.
 #[derive(Default)]
-struct Outcome {
+struct SupportOutcome {
     /// Cells that are served, of all.
     served: [usize; 2],
     /// Made-up cells that are served, of all.
     made_up: [usize; 2],
-    fixes: Vec<Record>,
+    fixes: Vec<EpochRecord>,
 }
 
 /// What comes of each rule, crowd by crowd.
-fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
-    let visit = Visit::new(seed, most)?;
+fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<SupportOutcome>>> {
+    let visit = SupportVisit::new(seed, most)?;
     let zone = visit.city.site().zone();
     let mut map = CrowdMap::new(zone);
     let mut hits = Hits::default();
     let mut outcomes = Vec::new();
     for who in 0..CROWDS[CROWDS.len() - 1] {
         let drive = town::drive(&visit.city, who, Way::Survey, u64::from(who))?;
-        for upload in cut(&drive, zone, Sending::of(u64::from(who)))? {
-            for (id, share) in map.offer(&upload).into_iter().flatten() {
-                share.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
+        for upload in cut(&drive, zone, SentForm::of(u64::from(who)))? {
+            for (id, evidence) in map.offer(&upload).into_iter().flatten() {
+                evidence.cells.iter().for_each(|hit| hits.add(id.cell(hit.index), who));
             }
         }
         if CROWDS.contains(&(who + 1)) {
@@ -213,36 +214,36 @@ fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<Outcome>>> {
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct SupportLine {
     contributors: u32,
     rule: String,
-    /// Share of the cells that are served.
+    /// Fraction of the cells that are served.
     served: f64,
-    /// Share of the made-up ones.
+    /// Fraction of the made-up ones.
     made_up: f64,
     #[serde(flatten)]
     summary: Summary,
 }
 
-impl Line {
-    fn of(contributors: u32, rule: Rule, outcomes: &[&Outcome]) -> Self {
-        let share = |of: fn(&Outcome) -> [usize; 2]| {
+impl SupportLine {
+    fn of(contributors: u32, rule: Rule, outcomes: &[&SupportOutcome]) -> Self {
+        let fraction = |of: fn(&SupportOutcome) -> [usize; 2]| {
             let sum = |k: usize| outcomes.iter().map(|outcome| of(outcome)[k]).sum::<usize>();
             sum(0) as f64 / sum(1).max(1) as f64
         };
-        let rows: Vec<Record> = outcomes.iter().flat_map(|outcome| outcome.fixes.clone()).collect();
+        let rows: Vec<EpochRecord> = outcomes.iter().flat_map(|outcome| outcome.fixes.clone()).collect();
         Self {
             contributors,
             rule: rule.words(),
-            served: share(|outcome| outcome.served),
-            made_up: share(|outcome| outcome.made_up),
+            served: fraction(|outcome| outcome.served),
+            made_up: fraction(|outcome| outcome.made_up),
             summary: Summary::of(&rows),
         }
     }
 
     fn cells(&self) -> String {
         let Self { contributors, rule, served, made_up, summary } = self;
-        let [served, made_up] = [served, made_up].map(|share| format!("{:.1} %", 100.0 * share));
+        let [served, made_up] = [served, made_up].map(|fraction| format!("{:.1} %", 100.0 * fraction));
         format!("{contributors} | {rule} | {served} | {made_up} | {}", summary.cells())
     }
 }
@@ -252,9 +253,9 @@ const WORDS: &str = "## Support
 A cell is served once three contributors hit something near it. How near? Wide rules let one contributor, as the third, serve what he made
 up where two honest ones saw clutter; narrow ones serve less of what stands. Contributors drive every street, each on a day of his own;
 made up are cells in the lanes, more than 50 cm from anything that stands in the town. Clutter adds up: a number of contributors protects
-less the more of them drive, and only a share of them would protect for good. A share is not what the service asks for: a new
+less the more of them drive, and only a fraction of them would protect for good. A fraction is not what the service asks for: a new
 building would not be served before most of those who ever drove there had come again. It asks for three in the same block of 40 cm
-and, where six passes had the place in view, for two of them in the cell itself: no cell is served there on the word of one.
+and, where six passes had the cell in view, for two of them in the cell itself: no cell is served there on the word of one.
 ";
 
 const COLUMNS: [&str; 8] = [
@@ -272,7 +273,7 @@ const COLUMNS: [&str; 8] = [
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let towns = scale.towns(1);
     let most = if scale.quick { 60 } else { 200 };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, most)).collect::<anyhow::Result<_>>()?;
@@ -280,11 +281,11 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
     for (crowd, contributors) in CROWDS.into_iter().enumerate() {
         for (which, rule) in RULES.into_iter().enumerate() {
             let outcomes: Vec<_> = all.iter().map(|town| &town[crowd][which]).collect();
-            lines.push(Line::of(contributors, rule, &outcomes));
+            lines.push(SupportLine::of(contributors, rule, &outcomes));
         }
     }
-    let table = table(&COLUMNS, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Support, WORDS, &table, towns, &lines)
+    let table = table(&COLUMNS, lines.iter().map(SupportLine::cells));
+    CrowdSection::of_table(Experiment::Support, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]
@@ -304,6 +305,6 @@ mod tests {
             [Rule::Block(8), Rule::Block(4), Rule::Within(1), Rule::Within(2)].map(count),
             [2, 2, 1, 3]
         );
-        assert_eq!([3, 10, 11].map(|all| Rule::Share(1, 40).least(all)), [3, 4, 5]);
+        assert_eq!([3, 10, 11].map(|all| Rule::Fraction(1, 40).least(all)), [3, 4, 5]);
     }
 }

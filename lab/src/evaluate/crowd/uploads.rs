@@ -1,6 +1,7 @@
 //! A drive cut into uploads, as a vehicle sends them.
 
 use echofix_client::upload::RecorderConfig;
+use echofix_core::drive::segment::usable_segments;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{EvidenceAccumulator, EvidenceDelta, Pass, SENT_STEPS};
 use echofix_core::geo::{Grid, Zone};
@@ -9,29 +10,29 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Scan;
 use echofix_core::time::DAY_US;
 
-use crate::evaluate::map::{Movers, gated, on_grid, stretches};
+use crate::evaluate::map::{Movers, gated, mapped_from, on_grid};
 
 /// What reaches the service at once.
 #[derive(Debug, Clone)]
-pub struct Upload {
+pub struct VehicleUpload {
     /// Whose it is, and of which day.
     pub pass: Pass,
-    /// What it tells.
+    /// Its evidence delta.
     pub contribution: EvidenceDelta,
 }
 
 /// What a vehicle sends of its drives.
 #[derive(Debug, Clone, Copy)]
-pub struct Sending {
+pub struct SentForm {
     /// Its number.
     pub contributor: u64,
     /// Reference poses of a larger sigma are not mapped from, metres.
     pub max_sigma_m: f64,
-    /// Steps of a cell to which the places of hits are told.
+    /// Steps of a cell to which the positions of hits are sent.
     pub steps: u32,
 }
 
-impl Sending {
+impl SentForm {
     /// As the service asks for it.
     pub fn of(contributor: u64) -> Self {
         Self { contributor, max_sigma_m: 0.3, steps: SENT_STEPS }
@@ -42,7 +43,7 @@ impl Sending {
 ///
 /// # Errors
 /// When its scans and poses do not fit together.
-pub fn cut(drive: &Drive, zone: Zone, sending: Sending) -> anyhow::Result<Vec<Upload>> {
+pub fn cut(drive: &Drive, zone: Zone, sending: SentForm) -> anyhow::Result<Vec<VehicleUpload>> {
     cut_wrong(drive, zone, sending, |_, _, pose| pose)
 }
 
@@ -53,13 +54,13 @@ pub fn cut(drive: &Drive, zone: Zone, sending: Sending) -> anyhow::Result<Vec<Up
 pub fn cut_wrong(
     drive: &Drive,
     zone: Zone,
-    sending: Sending,
+    sending: SentForm,
     wrong: impl Fn(usize, Pose2, Pose2) -> Pose2,
-) -> anyhow::Result<Vec<Upload>> {
+) -> anyhow::Result<Vec<VehicleUpload>> {
     let grid = Grid::new(zone)?;
-    let scans = gated(drive, Movers::Dropped);
+    let scans = gated(drive, Movers::Excluded);
     let mut uploads = Vec::new();
-    for poses in stretches(&drive.reference, sending.max_sigma_m) {
+    for poses in usable_segments(&drive.reference, &mapped_from(sending.max_sigma_m)) {
         for part in parts(&grid, poses, &RecorderConfig::default())? {
             let poses: Vec<_> = on_grid(&grid, part)?.iter().collect();
             let (number, middle) = (uploads.len(), poses[poses.len() / 2].1);
@@ -99,19 +100,20 @@ fn upload(
     drive: &Drive,
     scans: &[Scan],
     (poses, trajectory): (&[GeoPose], &Trajectory),
-    Sending { contributor, steps, .. }: Sending,
-) -> anyhow::Result<Option<Upload>> {
+    SentForm { contributor, steps, .. }: SentForm,
+) -> anyhow::Result<Option<VehicleUpload>> {
     let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
     let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
     let scale = grid.scale_factor(poses[0].at)?;
-    // Movers are gone already, and odometry told them better than absolute poses would.
-    let gate = Movers::Kept.gate();
+    // Movers are gone already, and odometry tells them better than absolute poses would.
+    let gate = Movers::Included.gate();
     let mut gathering = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
         gathering.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
     let contribution = gathering.finish(placed);
     let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US))?;
-    Ok((contribution.detections > 0).then_some(Upload { pass: Pass { day, contributor }, contribution }))
+    Ok((contribution.detections > 0)
+        .then_some(VehicleUpload { pass: Pass { day, contributor }, contribution }))
 }
 
 #[cfg(test)]

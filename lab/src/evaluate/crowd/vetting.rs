@@ -11,8 +11,8 @@ use serde::Serialize;
 
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{Sending, Upload, cut, cut_wrong};
-use super::{Scale, Told, table};
+use super::uploads::{SentForm, VehicleUpload, cut, cut_wrong};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 
 /// Contributors of the maps that uploads are held against.
@@ -66,8 +66,8 @@ impl Wrong {
         }
     }
 
-    fn uploads(self, drive: &Drive, zone: Zone, contributor: u64) -> anyhow::Result<Vec<Upload>> {
-        cut_wrong(drive, zone, Sending::of(contributor), |number, middle, pose| {
+    fn uploads(self, drive: &Drive, zone: Zone, contributor: u64) -> anyhow::Result<Vec<VehicleUpload>> {
+        cut_wrong(drive, zone, SentForm::of(contributor), |number, middle, pose| {
             self.pose(number, middle, pose)
         })
     }
@@ -85,7 +85,7 @@ fn counted(seed: u64) -> anyhow::Result<Vec<Vec<Counts>>> {
     let drive = |who: u64| town::drive(&city, who as u32, Way::Survey, who);
     let drives: Vec<_> = (0..most + 2).into_par_iter().map(drive).collect::<anyhow::Result<_>>()?;
     let (mapping, asking) = drives.split_at(most as usize);
-    let questions: Vec<Vec<Upload>> = WRONGS
+    let questions: Vec<Vec<VehicleUpload>> = WRONGS
         .par_iter()
         .map(|wrong| {
             let uploads = asking.iter().zip(most..).map(|(drive, who)| wrong.uploads(drive, zone, who));
@@ -95,7 +95,7 @@ fn counted(seed: u64) -> anyhow::Result<Vec<Vec<Counts>>> {
     let mut map = CrowdMap::new(zone);
     let mut all = Vec::new();
     for (drive, who) in mapping.iter().zip(0..) {
-        for upload in cut(drive, zone, Sending::of(who))? {
+        for upload in cut(drive, zone, SentForm::of(who))? {
             map.offer(&upload);
         }
         if CROWDS.contains(&(who + 1)) {
@@ -105,7 +105,7 @@ fn counted(seed: u64) -> anyhow::Result<Vec<Vec<Counts>>> {
     Ok(all)
 }
 
-fn count(map: &mut CrowdMap, uploads: &[Upload]) -> Counts {
+fn count(map: &mut CrowdMap, uploads: &[VehicleUpload]) -> Counts {
     let mut counts = Counts::default();
     for upload in uploads {
         counts[match map.vet(upload) {
@@ -125,7 +125,7 @@ uploads' own. In brackets those that met nothing to be held against.
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct VettingLine {
     wrong: String,
     uploads: usize,
     crowds: [OfCrowd; CROWDS.len()],
@@ -139,7 +139,7 @@ struct OfCrowd {
     new: usize,
 }
 
-impl Line {
+impl VettingLine {
     fn of(which: usize, all: &[Vec<Vec<Counts>>]) -> Self {
         let sums = [0, 1, 2].map(|crowd| {
             let of_town = |town: &Vec<Vec<Counts>>| town[crowd][which];
@@ -164,14 +164,14 @@ impl Line {
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let towns = scale.towns(2);
     let all: Vec<_> = towns.iter().map(|seed| counted(*seed)).collect::<anyhow::Result<_>>()?;
-    let lines: Vec<_> = (0..WRONGS.len()).map(|which| Line::of(which, &all)).collect();
+    let lines: Vec<_> = (0..WRONGS.len()).map(|which| VettingLine::of(which, &all)).collect();
     let crowds = CROWDS.map(|count| format!("quarantined, map of {count}"));
     let columns: Vec<_> = ["", "uploads"].into_iter().chain(crowds.iter().map(String::as_str)).collect();
-    let table = table(&columns, lines.iter().map(Line::cells));
-    Told::of_table(Experiment::Vetting, WORDS, &table, towns, &lines)
+    let table = table(&columns, lines.iter().map(VettingLine::cells));
+    CrowdSection::of_table(Experiment::Vetting, WORDS, &table, towns, &lines)
 }
 
 #[cfg(test)]

@@ -10,18 +10,18 @@ use serde::Serialize;
 use super::fixes::{Summary, fixes};
 use super::map::CrowdMap;
 use super::town::{self, Way};
-use super::uploads::{self, Sending};
-use super::{Scale, Told, table};
+use super::uploads::{self, SentForm};
+use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
-use crate::evaluate::method::Name;
+use crate::evaluate::method::MethodName;
 use crate::evaluate::plots::Curve;
-use crate::evaluate::record::Record;
+use crate::evaluate::record::EpochRecord;
 use crate::evaluate::section::{Figure, Section};
 
 /// Vehicles that map.
 const CONTRIBUTORS: u64 = 5;
-/// Contributors that tell of a place before it is served.
+/// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
 /// What the service takes poses for known from, metres.
 const MAX_SIGMA_M: f64 = 0.3;
@@ -75,7 +75,7 @@ struct Maps {
 
 impl Maps {
     fn new(zone: Zone) -> Self {
-        let plain = || RadarMap::new(MapKey { world: 0, contributors: 1, movers: Movers::Kept }, zone);
+        let plain = || RadarMap::new(MapKey { world: 0, contributors: 1, movers: Movers::Included }, zone);
         Self { first: plain(), everything: plain(), crowd: CrowdMap::new(zone), uploads: [0, 0] }
     }
 
@@ -86,7 +86,7 @@ impl Maps {
         if day == 0 {
             self.first.join(&one);
         }
-        let uploads = uploads::cut(drive, self.crowd.zone(), Sending::of(contributor))?;
+        let uploads = uploads::cut(drive, self.crowd.zone(), SentForm::of(contributor))?;
         let counted = uploads.iter().filter(|upload| self.crowd.offer(upload).is_some()).count();
         self.uploads[0] += uploads.len();
         self.uploads[1] += uploads.len() - counted;
@@ -94,19 +94,19 @@ impl Maps {
     }
 
     /// Fixes by the first map, by everything, by the crowd's.
-    fn fixes(&self, drive: &Drive, today: u16, most: usize) -> anyhow::Result<[Vec<Record>; 3]> {
-        let key = MapKey { movers: Movers::Dropped, ..self.first.key };
+    fn fixes(&self, drive: &Drive, today: u16, most: usize) -> anyhow::Result<[Vec<EpochRecord>; 3]> {
+        let key = MapKey { movers: Movers::Excluded, ..self.first.key };
         let served = RadarMap::of_tiles(key, self.crowd.zone(), self.crowd.published(LEAST, Some(today)));
         Ok([
-            fixes(&self.first, drive, Name::Paper, most)?,
-            fixes(&self.everything, drive, Name::Paper, most)?,
-            fixes(&served, drive, Name::Echofix, most)?,
+            fixes(&self.first, drive, MethodName::Paper, most)?,
+            fixes(&self.everything, drive, MethodName::Paper, most)?,
+            fixes(&served, drive, MethodName::Echofix, most)?,
         ])
     }
 }
 
 /// Fixes of the days on which is localized.
-type Days = Vec<(u32, [Vec<Record>; 3])>;
+type Days = Vec<(u32, [Vec<EpochRecord>; 3])>;
 
 /// One town's year, and its uploads.
 fn year(seed: u64, calendar: &Calendar) -> anyhow::Result<(Days, [usize; 2])> {
@@ -145,7 +145,7 @@ const NAMES: [&str; 3] = ["paper, map of day 0", "paper, everything added", "ech
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
-pub fn run(scale: &Scale) -> anyhow::Result<Told> {
+pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
     let calendar = Calendar::of(scale);
     let towns = scale.towns(1);
     let mut all: Days = Vec::new();
@@ -176,12 +176,12 @@ pub fn run(scale: &Scale) -> anyhow::Result<Told> {
         text: format!(
             "{}\n{}\n![A year](figures/year.svg)\n",
             words(&calendar, uploads),
-            table(&columns(), lines.iter().map(Line::cells))
+            table(&columns(), lines.iter().map(YearLine::cells))
         ),
         figures: vec![("year.svg", figure)],
-        data: Some(super::places(towns)),
+        data: Some(super::towns_in_words(towns)),
     };
-    Told::new(section, &lines)
+    CrowdSection::new(section, &lines)
 }
 
 fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
@@ -193,7 +193,7 @@ Five vehicles map a town all on day 0, then two of them every {every} days, 900 
 gone from day 90 on, one is built on day 150, and from day 60 to 179 one street is a building site: containers stand along both kerbs
 where else cars park and hide the fronts behind them, with barriers before them. (Its lanes stay open: in a street that is closed there
 is nobody to ask where he is.) Another vehicle drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
-what the service serves of what at least three contributors told. Of {uploads} uploads {quarantined} were quarantined.
+what the service serves of what at least three contributors support. Of {uploads} uploads {quarantined} were quarantined.
 "
     )
 }
@@ -205,15 +205,15 @@ fn columns() -> Vec<String> {
 
 /// A line of the table.
 #[derive(Serialize)]
-struct Line {
+struct YearLine {
     /// A day, or all of them.
     day: String,
     /// By the map, in the order of the table.
     maps: [(&'static str, Summary); NAMES.len()],
 }
 
-impl Line {
-    fn of(day: String, rows: [&[Record]; 3]) -> Self {
+impl YearLine {
+    fn of(day: String, rows: [&[EpochRecord]; 3]) -> Self {
         Self { day, maps: [0, 1, 2].map(|map: usize| (NAMES[map], Summary::of(rows[map]))) }
     }
 
@@ -224,11 +224,12 @@ impl Line {
     }
 }
 
-fn lines(all: &Days) -> Vec<Line> {
-    let of_day =
-        |(day, rows): &(u32, [Vec<Record>; 3])| Line::of(day.to_string(), rows.each_ref().map(Vec::as_slice));
-    let whole: [Vec<Record>; 3] =
+fn lines(all: &Days) -> Vec<YearLine> {
+    let of_day = |(day, rows): &(u32, [Vec<EpochRecord>; 3])| {
+        YearLine::of(day.to_string(), rows.each_ref().map(Vec::as_slice))
+    };
+    let whole: [Vec<EpochRecord>; 3] =
         std::array::from_fn(|k| all.iter().flat_map(|(_, rows)| rows[k].clone()).collect());
-    let last = Line::of("all".to_owned(), whole.each_ref().map(Vec::as_slice));
+    let last = YearLine::of("all".to_owned(), whole.each_ref().map(Vec::as_slice));
     all.iter().map(of_day).chain([last]).collect()
 }

@@ -1,4 +1,4 @@
-//! Percentiles and shares with bootstrap confidence intervals. Whole clusters are drawn, because
+//! Percentiles and fractions with bootstrap confidence intervals. Whole clusters are drawn, because
 //! epochs that are near in time are not independent.
 
 use std::collections::BTreeMap;
@@ -47,34 +47,34 @@ impl Draws {
     }
 }
 
-/// Percentiles by the nearest rank of (value, cluster) pairs, one for each of `shares`; empty of
+/// Percentiles by the nearest rank of (value, cluster) pairs, one for each of `fractions`; empty of
 /// nothing.
-pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, shares: &[f64]) -> Vec<Estimate> {
+pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, fractions: &[f64]) -> Vec<Estimate> {
     let (sorted, clusters) = numbered(sample);
     if sorted.is_empty() {
         return Vec::new();
     }
-    let values = at_shares(&sorted, &vec![1; clusters], shares);
+    let values = at_fractions(&sorted, &vec![1; clusters], fractions);
     let mut draws = Draws::of(clusters);
-    let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(DRAWS); shares.len()];
+    let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(DRAWS); fractions.len()];
     for _ in 0..DRAWS {
-        for (all, value) in drawn.iter_mut().zip(at_shares(&sorted, draws.next(), shares)) {
+        for (all, value) in drawn.iter_mut().zip(at_fractions(&sorted, draws.next(), fractions)) {
             all.push(value);
         }
     }
     values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn, clusters)).collect()
 }
 
-/// How a figure of one sample compares with another's: the ratio of the percentiles at `share`, then of the root
+/// How a figure of one sample compares with another's: the ratio of the percentiles at `fraction`, then of the root
 /// mean squares, of ((value, other), cluster) rows; `None` of nothing. Rows are drawn together, so that what both
 /// samples have in common cancels.
-pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], share: f64) -> Option<[Estimate; 2]> {
+pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], fraction: f64) -> Option<[Estimate; 2]> {
     let of =
         |value: fn(&(f64, f64)) -> f64| numbered(rows.iter().map(|(pair, cluster)| (value(pair), cluster)));
     let ((ours, clusters), (others, _)) = (of(|pair| pair.0), of(|pair| pair.1));
     let figures = |sorted: &[(f64, usize)], weights: &[u32]| {
         let squares = sorted.iter().map(|(v, cluster)| f64::from(weights[*cluster]) * v * v);
-        [at_shares(sorted, weights, &[share])[0], squares.sum::<f64>().sqrt()]
+        [at_fractions(sorted, weights, &[fraction])[0], squares.sum::<f64>().sqrt()]
     };
     let compared = |weights: &[u32]| {
         let (a, b) = (figures(&ours, weights), figures(&others, weights));
@@ -89,8 +89,8 @@ pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], share: f64) -> Option<[Estimate;
     Some([0, 1].map(|k| estimate(value[k], drawn.iter().map(|d| d[k]).collect(), clusters)))
 }
 
-/// The share of (hit, cluster) pairs that are hits; `None` of nothing.
-pub fn share<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
+/// The fraction of (hit, cluster) pairs that are hits; `None` of nothing.
+pub fn fraction<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
     mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))
 }
 
@@ -129,14 +129,14 @@ fn numbered<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> (Vec<(f64, us
 }
 
 /// Nearest ranks when each cluster counts so often.
-fn at_shares(sorted: &[(f64, usize)], weights: &[u32], shares: &[f64]) -> Vec<f64> {
+fn at_fractions(sorted: &[(f64, usize)], weights: &[u32], fractions: &[f64]) -> Vec<f64> {
     let total: u64 = sorted.iter().map(|(_, cluster)| u64::from(weights[*cluster])).sum();
-    let rank = |share: f64| ((share * total as f64).ceil() as u64).max(1);
-    let mut values = Vec::with_capacity(shares.len());
+    let rank = |fraction: f64| ((fraction * total as f64).ceil() as u64).max(1);
+    let mut values = Vec::with_capacity(fractions.len());
     let mut passed = 0;
     for (value, cluster) in sorted {
         passed += u64::from(weights[*cluster]);
-        while values.len() < shares.len() && passed >= rank(shares[values.len()]) {
+        while values.len() < fractions.len() && passed >= rank(fractions[values.len()]) {
             values.push(*value);
         }
     }
@@ -148,7 +148,7 @@ fn estimate(value: f64, mut drawn: Vec<f64>, clusters: usize) -> Estimate {
         return Estimate { value, low: f64::NAN, high: f64::NAN };
     }
     drawn.sort_by(f64::total_cmp);
-    let at = |share: f64| drawn[((share * drawn.len() as f64) as usize).min(drawn.len() - 1)];
+    let at = |fraction: f64| drawn[((fraction * drawn.len() as f64) as usize).min(drawn.len() - 1)];
     Estimate { value, low: at(0.025), high: at(0.975) }
 }
 
@@ -194,8 +194,8 @@ mod tests {
 
     #[test]
     fn a_share_counts_hits() {
-        let found = share((0..40).map(|k| (k % 4 == 0, k))).unwrap();
+        let found = fraction((0..40).map(|k| (k % 4 == 0, k))).unwrap();
         assert!((found.value - 0.25).abs() < 1e-12 && found.low > 0.05 && found.high < 0.45);
-        assert_eq!(share(std::iter::empty::<(bool, u8)>()), None);
+        assert_eq!(fraction(std::iter::empty::<(bool, u8)>()), None);
     }
 }

@@ -1,6 +1,6 @@
 //! Are the errors as large as was said?
 
-use super::bootstrap::{Estimate, mean, share};
+use super::bootstrap::{Estimate, fraction, mean};
 
 /// 95 % of a chi-square of 2 degrees of freedom lie below.
 pub const CHI2_95_2: f64 = 5.991;
@@ -12,7 +12,7 @@ pub const CHI2_95_3: f64 = 7.815;
 pub struct Calibration {
     /// Mean, a degree of freedom: 1 when the covariance is right, more when it is too small.
     pub mean: Estimate,
-    /// Share of the errors inside the 95 % ellipse: 0.95 when the covariance is right.
+    /// Fraction of the errors inside the 95 % ellipse: 0.95 when the covariance is right.
     pub inside: Estimate,
 }
 
@@ -20,7 +20,7 @@ pub struct Calibration {
 pub fn calibration<K: Ord + Clone>(sample: &[(f64, K)], freedom: f64, chi2_95: f64) -> Option<Calibration> {
     Some(Calibration {
         mean: mean(sample.iter().map(|(nees, cluster)| (nees / freedom, cluster)))?,
-        inside: share(sample.iter().map(|(nees, cluster)| (*nees <= chi2_95, cluster)))?,
+        inside: fraction(sample.iter().map(|(nees, cluster)| (*nees <= chi2_95, cluster)))?,
     })
 }
 

@@ -1,9 +1,9 @@
 //! How often is an error exceeded? (The complementary cumulative distribution.)
 
-/// Points of a curve while the share falls by a factor of e.
+/// Points of a curve while the fraction falls by a factor of e.
 const POINTS_PER_E: usize = 50;
 
-/// (error, share of the sample above it), from the smallest error to the largest but one.
+/// (error, fraction of the sample above it), from the smallest error to the largest but one.
 pub fn ccdf(sample: impl IntoIterator<Item = f64>) -> Vec<(f64, f64)> {
     let mut sorted: Vec<f64> = sample.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
@@ -28,9 +28,9 @@ mod tests {
         let sample: Vec<f64> = (0..10_000).map(|k| f64::from(k * 7919 % 10_007)).collect();
         let curve = ccdf(sample.iter().copied());
         assert!(curve.len() < 400 && curve.len() > 100, "{}", curve.len());
-        for (error, share) in &curve {
+        for (error, fraction) in &curve {
             let above = sample.iter().filter(|v| *v > error).count();
-            assert!((above as f64 / 10_000.0 - share).abs() < 1e-12);
+            assert!((above as f64 / 10_000.0 - fraction).abs() < 1e-12);
         }
         assert!(curve.is_sorted_by(|a, b| a.0 <= b.0 && a.1 >= b.1));
         assert!((curve[curve.len() - 1].1 - 1e-4).abs() < 1e-9);

@@ -1,6 +1,6 @@
 //! What many fixes amount to; pure functions.
 //!
-//! - [`bootstrap`]: percentiles and shares with confidence intervals.
+//! - [`bootstrap`]: percentiles and fractions with confidence intervals.
 //! - [`ccdf`]: how often is an error exceeded?
 //! - [`calibration`]: are the errors as large as was said?
 //! - [`rank`]: do two quantities rise together?

@@ -3,7 +3,7 @@
 /// Detections and false alarms over all thresholds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Roc {
-    /// (share of the right answers that are refused, share of the wrong ones that are), from the
+    /// (fraction of the right answers that are refused, fraction of the wrong ones that are), from the
     /// highest threshold to the lowest.
     pub points: Vec<(f64, f64)>,
     /// Chance that a wrong answer scores above a right one: 0.5 when the score tells nothing.
@@ -39,7 +39,7 @@ pub fn roc(sample: impl IntoIterator<Item = (f64, bool)>) -> Option<Roc> {
 }
 
 impl Roc {
-    /// Share of the wrong answers that are refused when at most this share of the right ones is.
+    /// Fraction of the wrong answers that are refused when at most this fraction of the right ones is.
     pub fn detected_at(&self, false_alarms: f64) -> f64 {
         self.points.iter().take_while(|p| p.0 <= false_alarms).map(|p| p.1).fold(0.0, f64::max)
     }
