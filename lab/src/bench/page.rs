@@ -13,7 +13,7 @@ use super::town::UploadCost;
 use super::{BenchPlan, Figures};
 use echofix_harness::percentiles::Percentiles;
 
-/// The figures in Markdown; `command` is how they were made.
+/// The figures in Markdown. `command` is the command that measured them.
 pub fn page(figures: &Figures, command: &str) -> String {
     let Figures { plan, machine, loads, refused, cold, inside, engines, .. } = figures;
     let BenchPlan { seed, contributors, questions, load_s, .. } = plan;
@@ -42,7 +42,7 @@ pub fn page(figures: &Figures, command: &str) -> String {
     page
 }
 
-/// A table's head.
+/// The heading and the first lines of a table.
 fn head(title: &str, columns: &[&str]) -> String {
     let columns_md: String = columns.iter().fold(String::new(), |line, column| line + " | " + column);
     format!("\n## {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
