@@ -1,6 +1,5 @@
 //! The `echofix` command.
 //!
-//! - [`commands`]: one file a subcommand.
 //! [`commands`] has one file a subcommand. Driving, uploading and asking are `echofix_harness`'s; experiments and
 //! benchmarks are `echofix_lab`'s, and only there with the feature `lab`.
 

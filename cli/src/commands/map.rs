@@ -12,9 +12,19 @@ use echofix_harness::uploading::{UploadedDrive, upload};
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
 
+/// The operator's words, where they are first used.
+const WORDS: &str = "Words:
+  journal     the history of the map: every upload, import and decision is a record of it
+  fold        to add a record to the tiles, in the journal's order
+  epoch       the number of the last record that a state of the map contains
+  compact     to replace old records by a checkpoint; it cannot be undone
+  lineage     tells one history of the map from another; a restored backup gets a new one
+  datum       by how much uploads were moved onto the map; its mean is the map's own offset
+  quarantine  uploads that were kept out of the map, since they do not fit what others uploaded";
+
 /// Arguments of `echofix map`.
 #[derive(clap::Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(after_long_help = WORDS, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
     #[command(subcommand)]
     operation: Option<MapOperation>,

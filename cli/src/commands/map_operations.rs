@@ -30,7 +30,7 @@ pub enum MapOperation {
         /// The later epoch.
         to: u64,
     },
-    /// Take back all uploads and imports after an epoch.
+    /// Exclude all uploads and imports after an epoch.
     Rollback {
         /// The last epoch that counts.
         epoch: u64,
@@ -64,7 +64,7 @@ pub enum MapOperation {
         #[arg(long)]
         replay: bool,
     },
-    /// Make final what came before a day: it can no longer be taken back, and takes less room.
+    /// Replace the records of before a day by a checkpoint: nobody can exclude them any more, and they take less room.
     Compact {
         /// UTC date, like 2026-12-31.
         #[arg(long)]

@@ -19,12 +19,16 @@ use echofix_core::drive::Drive;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ScanRange(RangeInclusive<usize>);
 
-impl FromStr for ScanRange {
-    type Err = String;
+/// The text is no range of scans.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a range of scans; write the first and the last, like 10-18")]
+pub struct NotAScanRange(String);
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        let expected =
-            || format!("`{text}` is not a range of scans; write the first and the last, like 10-18");
+impl FromStr for ScanRange {
+    type Err = NotAScanRange;
+
+    fn from_str(text: &str) -> Result<Self, NotAScanRange> {
+        let expected = || NotAScanRange(text.to_owned());
         let (first, last) = text.split_once('-').ok_or_else(expected)?;
         let number = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
         match (number(first), number(last)) {

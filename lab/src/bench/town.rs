@@ -28,7 +28,7 @@ const DAYS_LATER: u32 = 3;
 /// What the vehicles' uploads cost the service: decoded, written, vetted against the map and folded into it.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct UploadCost {
-    /// UploadCost.
+    /// How many.
     pub count: u64,
     /// Kilobytes of all of them on the wire.
     pub kb: f64,

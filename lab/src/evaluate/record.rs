@@ -16,7 +16,7 @@ pub struct EpochRecord {
     /// What kind of site: a town, a scene, a log.
     #[serde(rename = "place")]
     pub site_kind: &'static str,
-    /// MethodName of the world.
+    /// Name of the world.
     pub world: String,
     /// Epoch within the world, from 0.
     pub epoch: usize,

@@ -38,6 +38,7 @@ impl CrowdMap {
     }
 
     /// A copy that grows on its own.
+    #[must_use]
     pub fn fork(&self) -> Self {
         let FoldedMap { tiles, ledgers, .. } = &self.folded;
         let folded = FoldedMap { tiles: tiles.clone(), ledgers: ledgers.clone(), prepared: Mutex::default() };

@@ -187,7 +187,7 @@ impl SizeLine {
     }
 }
 
-const WORDS: &str = "## VehicleUpload size
+const WORDS: &str = "## Upload size
 
 What the uploads of three contributors take, by kilometre that each drives, and what the map that is served of them is then worth to
 another vehicle days later. The same questions are asked of every map; the ratios compare its errors with those of the finest one where
