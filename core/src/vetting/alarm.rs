@@ -15,7 +15,7 @@ pub struct QuarantinedUpload {
     /// The zone of its position.
     pub zone: Zone,
     /// The position of the upload, map metres.
-    pub place: [f64; 2],
+    pub position: [f64; 2],
     /// By how much it lies beside the map; `None` when it shows something else than the map.
     pub offset: Option<Offset>,
     /// Keyed hash of its contributor's pseudonym.
@@ -58,7 +58,7 @@ pub struct Alarm {
     /// The zone of its position.
     pub zone: Zone,
     /// The middle of the uploads' positions, map metres.
-    pub place: [f64; 2],
+    pub position: [f64; 2],
     /// What they agree on.
     pub kind: AlarmKind,
     /// Distinct contributors.
@@ -80,7 +80,7 @@ pub fn alarms(quarantined: &[QuarantinedUpload], limits: &AlarmLimits) -> Vec<Al
     let mut alarms = Vec::new();
     for zone in zones {
         let mut here: Vec<&QuarantinedUpload> = distinct.iter().filter(|q| q.zone == zone).copied().collect();
-        here.sort_by_key(|q| (q.place.map(f64::to_bits), q.contributor, q.day, q.offset));
+        here.sort_by_key(|q| (q.position.map(f64::to_bits), q.contributor, q.day, q.offset));
         alarms.extend(in_zone(&here, limits));
     }
     alarms.sort_by_key(|alarm| Reverse(alarm.contributors));
@@ -90,28 +90,28 @@ pub fn alarms(quarantined: &[QuarantinedUpload], limits: &AlarmLimits) -> Vec<Al
 /// The first upload of each contributor near each position.
 fn distinct<'a>(quarantined: &'a [QuarantinedUpload], limits: &AlarmLimits) -> Vec<&'a QuarantinedUpload> {
     let mut all: Vec<&QuarantinedUpload> = quarantined.iter().collect();
-    all.sort_by_key(|q| (q.day, q.place.map(f64::to_bits), q.contributor, q.offset));
+    all.sort_by_key(|q| (q.day, q.position.map(f64::to_bits), q.contributor, q.offset));
     let step = |value: f64, size: f64| (value / size).round() as i64;
     let mut said = BTreeSet::new();
     all.retain(|q| {
-        let place = q.place.map(|along| step(along, 0.5 * limits.within_m));
+        let position = q.position.map(|along| step(along, 0.5 * limits.within_m));
         let offset = q.offset.map(|offset| {
             let pose = offset.pose();
             let shift = [pose.x_m, pose.y_m].map(|along| step(along, 0.5 * limits.shift_m));
             (shift, step(pose.yaw_rad, 0.5 * limits.yaw_rad))
         });
-        said.insert((q.zone, q.contributor, place, offset))
+        said.insert((q.zone, q.contributor, position, offset))
     });
     all.split_off(all.len().saturating_sub(MOST))
 }
 
 fn in_zone(here: &[&QuarantinedUpload], limits: &AlarmLimits) -> Vec<Alarm> {
-    let places: Vec<[f64; 2]> = here.iter().map(|q| q.place).collect();
+    let positions: Vec<[f64; 2]> = here.iter().map(|q| q.position).collect();
     // A tree is refused for more positions than it can number.
-    let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&places) else { return Vec::new() };
+    let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&positions) else { return Vec::new() };
     let within = limits.within_m * limits.within_m;
     let around = |seed: &&QuarantinedUpload| {
-        let near = tree.query(&seed.place).within::<SquaredEuclidean<f64>>(within).execute();
+        let near = tree.query(&seed.position).within::<SquaredEuclidean<f64>>(within).execute();
         let mut group: Vec<usize> = near.into_iter().map(|n| n.item as usize).collect();
         group.retain(|other| alike(seed, here[*other], limits));
         group.sort_unstable();
@@ -153,7 +153,7 @@ fn contributors(here: &[&QuarantinedUpload], group: &[usize]) -> usize {
 fn alarm(here: &[&QuarantinedUpload], group: &[usize]) -> Option<Alarm> {
     let members = || group.iter().map(|member| here[*member]);
     let count = group.len() as f64;
-    let place = [0, 1].map(|axis: usize| members().map(|q| q.place[axis]).sum::<f64>() / count);
+    let position = [0, 1].map(|axis: usize| members().map(|q| q.position[axis]).sum::<f64>() / count);
     let offsets: Vec<Offset> = members().filter_map(|q| q.offset).collect();
     let mean = |part: fn(&Offset) -> i32| {
         let sum: i64 = offsets.iter().map(|o| i64::from(part(o))).sum();
@@ -170,7 +170,7 @@ fn alarm(here: &[&QuarantinedUpload], group: &[usize]) -> Option<Alarm> {
     };
     let first = members().next()?;
     let since = members().map(|q| q.day).min().unwrap_or(first.day);
-    Some(Alarm { zone: first.zone, place, kind, contributors: contributors(here, group), since })
+    Some(Alarm { zone: first.zone, position, kind, contributors: contributors(here, group), since })
 }
 
 #[cfg(test)]
@@ -180,7 +180,7 @@ mod tests {
     fn upload(x: f64, offset_mm: Option<[i32; 2]>, contributor: u64, day: u16) -> QuarantinedUpload {
         let offset = offset_mm.map(|[east_mm, north_mm]| Offset { east_mm, north_mm, yaw_urad: 0 });
         let zone = Zone::from_epsg(32614).expect("a zone");
-        QuarantinedUpload { zone, place: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
+        QuarantinedUpload { zone, position: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
     }
 
     fn found(quarantined: &[QuarantinedUpload]) -> Vec<Alarm> {
@@ -197,7 +197,7 @@ mod tests {
         let [alarm] = found(&three)[..] else { panic!("one alarm: {:?}", found(&three)) };
         assert_eq!((alarm.contributors, alarm.since), (3, 20_001));
         assert_eq!(alarm.kind, AlarmKind::Shift(Offset { east_mm: 1000, north_mm: 0, yaw_urad: 0 }));
-        assert!((alarm.place[0] - 600_030.0).abs() < 1e-9);
+        assert!((alarm.position[0] - 600_030.0).abs() < 1e-9);
         let reversed: Vec<_> = three.iter().rev().copied().collect();
         assert_eq!(found(&reversed), [alarm]);
     }

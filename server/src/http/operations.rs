@@ -96,7 +96,7 @@ fn quarantined(quarantined: &QuarantinedRecord) -> Value {
     let upload = &quarantined.upload;
     json!({
         "epoch": quarantined.number, "reason": reason, "date": iso_date(upload.day),
-        "place": position_json(upload.zone, upload.place), "offset": upload.offset.as_ref().map(offset),
+        "place": position_json(upload.zone, upload.position), "offset": upload.offset.as_ref().map(offset),
     })
 }
 
@@ -107,7 +107,7 @@ fn alarm(alarm: &Alarm) -> Value {
     };
     json!({
         "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
-        "place": position_json(alarm.zone, alarm.place),
+        "place": position_json(alarm.zone, alarm.position),
     })
 }
 

@@ -10,7 +10,7 @@ use echofix_core::evidence::{EvidenceDelta, TileEvidence};
 use echofix_core::geo::{TILE_M, TileId, Zone};
 use echofix_core::vetting::alarm::QuarantinedUpload;
 use echofix_core::vetting::{
-    Limits, MapSide, Offsets, Reason, Vetted, Vetter, has_other_contributors, moved_evidence,
+    MapSide, Offsets, Reason, Vetted, Vetter, VettingLimits, has_other_contributors, moved_evidence,
 };
 
 use super::write_buffer::{Folded, WriteBuffer};
@@ -42,13 +42,13 @@ pub(super) enum VettingOutcome {
 /// Buffers and prepared tiles that pass from one upload to the next.
 pub(super) struct Vetting {
     /// Without limits nothing is vetted.
-    limits: Option<Limits>,
+    limits: Option<VettingLimits>,
     vetter: Vetter,
     prepared: HashMap<(TileId, [u64; 9]), Arc<TileWeights>>,
 }
 
 impl Vetting {
-    pub(super) fn new(limits: Option<Limits>) -> Self {
+    pub(super) fn new(limits: Option<VettingLimits>) -> Self {
         Self { limits, vetter: Vetter::default(), prepared: HashMap::new() }
     }
 
@@ -81,8 +81,8 @@ impl Vetting {
                     counts.extend(moved_evidence(&shares, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
-                    let (place, day) = (middle(&shares), upload.pass.day);
-                    let upload = QuarantinedUpload { zone, place, offset, contributor, day };
+                    let (position, day) = (middle(&shares), upload.pass.day);
+                    let upload = QuarantinedUpload { zone, position, offset, contributor, day };
                     return Ok(VettingOutcome::Quarantined(QuarantinedRecord { number, reason, upload }));
                 }
             }

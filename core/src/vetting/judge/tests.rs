@@ -104,7 +104,7 @@ fn tile_hits(cells: &Cells) -> Vec<TileHits<'_>> {
 }
 
 fn vetted(cells: &Cells, map: &Map) -> Vetted {
-    Vetter::default().vet(&tile_hits(cells), map, &Limits::default())
+    Vetter::default().vet(&tile_hits(cells), map, &VettingLimits::default())
 }
 
 fn true_map() -> Map {

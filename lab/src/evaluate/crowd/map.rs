@@ -9,7 +9,7 @@ use echofix_core::evidence::TileEvidence;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Decay, Ledger, Tile};
 use echofix_core::vetting::{
-    Limits, MapSide, Offsets, Vetted, Vetter, has_other_contributors, moved_evidence,
+    MapSide, Offsets, Vetted, Vetter, VettingLimits, has_other_contributors, moved_evidence,
 };
 
 use super::uploads::Upload;
@@ -20,7 +20,7 @@ pub struct CrowdMap {
     zone: Zone,
     told: Told,
     vetter: Vetter,
-    limits: Limits,
+    limits: VettingLimits,
 }
 
 /// What has been folded.
@@ -34,7 +34,7 @@ struct Told {
 impl CrowdMap {
     /// An empty one.
     pub fn new(zone: Zone) -> Self {
-        Self { zone, told: Told::default(), vetter: Vetter::default(), limits: Limits::default() }
+        Self { zone, told: Told::default(), vetter: Vetter::default(), limits: VettingLimits::default() }
     }
 
     /// A copy that grows on its own.
