@@ -106,9 +106,26 @@ pub enum PartVerdict {
     Found {
         /// Shift and turn beyond the expected ones, drawn to zero where the map does not determine them.
         error: Pose2,
-        /// The same in limits: shift and turn.
-        excess: [f64; 2],
+        /// The same in limits.
+        excess: Excess,
     },
+}
+
+/// An error in limits: 1 is what is allowed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Excess {
+    /// Of the shift.
+    pub shift: f64,
+    /// Of the turn.
+    pub turn: f64,
+}
+
+impl Excess {
+    /// True within both limits.
+    #[must_use]
+    pub fn is_allowed(&self) -> bool {
+        self.shift <= 1.0 && self.turn <= 1.0
+    }
 }
 
 impl Vetter {
@@ -141,13 +158,15 @@ impl Vetter {
 fn part_verdict(at: &PartMatch, young: f64, limits: &VettingLimits) -> PartVerdict {
     let sigma = [limits.sigma_m, limits.sigma_m, limits.sigma_yaw_rad].map(|s| s * young);
     let error = drawn(&at.error, &at.covariance, sigma);
-    let excess = [error.x_m.hypot(error.y_m) / limits.shift_m, error.yaw_rad.abs() / limits.yaw_rad];
-    let excess = excess.map(|e| e / young);
+    let excess = Excess {
+        shift: error.x_m.hypot(error.y_m) / limits.shift_m / young,
+        turn: error.yaw_rad.abs() / limits.yaw_rad / young,
+    };
     let held = at.covariance.iter().all(|v| v.is_finite());
     let fits = held && at.contrast >= limits.min_contrast;
     let here = PartVerdict::Found { error, excess };
     let known = at.coverage >= limits.known_coverage;
-    if excess.iter().all(|e| *e <= 1.0) {
+    if excess.is_allowed() {
         return match (fits, known) {
             (true, _) if at.coverage >= limits.min_coverage => here,
             (false, true) if at.contrast < limits.min_contrast => PartVerdict::Lost,
@@ -181,11 +200,9 @@ fn together(judged: &[JudgedPart]) -> Vetted {
         match verdict {
             PartVerdict::None => {}
             PartVerdict::Lost => lost += points,
-            PartVerdict::Found { excess: [shift, turn], .. } if *shift <= 1.0 && *turn <= 1.0 => {
-                agree += points;
-            }
-            PartVerdict::Found { excess: [_, turn], .. } => {
-                wrong[usize::from(*turn > 1.0)] += points;
+            PartVerdict::Found { excess, .. } if excess.is_allowed() => agree += points,
+            PartVerdict::Found { excess, .. } => {
+                wrong[usize::from(excess.turn > 1.0)] += points;
                 errors.push((*error, *points));
             }
         }
@@ -209,7 +226,7 @@ fn offsets(judged: &[JudgedPart]) -> Offsets {
     let mut offsets = Offsets::default();
     for JudgedPart { part, expected, found, verdict } in judged {
         let (PartVerdict::Found { error, excess }, Some(at)) = (verdict, found) else { continue };
-        if excess.iter().all(|e| *e <= 1.0) {
+        if excess.is_allowed() {
             let onto_map = sum(expected, error);
             let spread = at.covariance[(0, 0)] + at.covariance[(1, 1)];
             offsets.push(part.middle, Offset::of(&onto_map), 1.0 / (spread + FLOOR_M * FLOOR_M));

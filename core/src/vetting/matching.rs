@@ -15,6 +15,7 @@ use crate::align::weights::TileWeights;
 use crate::align::{EngineKind, Prior, Search};
 use crate::batch::Batch;
 use crate::geo::TileId;
+use crate::point::MapPoint;
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
@@ -117,9 +118,9 @@ impl PartMatcher {
             return None;
         }
         self.pipeline.assemble(square, &known);
-        let [x, y] = part.middle;
+        let MapPoint { x_m, y_m } = part.middle;
         let prior = Prior {
-            pose: Pose2::new(x + expected.x_m, y + expected.y_m, expected.yaw_rad),
+            pose: Pose2::new(x_m + expected.x_m, y_m + expected.y_m, expected.yaw_rad),
             sigma_position_m: limits.reach_m,
             sigma_yaw_rad: limits.reach_yaw_rad,
             scale: 1.0,
@@ -140,7 +141,7 @@ fn matched(ranking: &Ranking, limits: &MatchingLimits) -> PartMatch {
     let sharp = refine(&ranking.field.sharpened(), points, prior, &start);
     let background = ranking.background(question.lattice.half_widths().0);
     let near = |d: f64| d <= limits.covered_within_m;
-    let covered = |position: [f64; 2]| {
+    let covered = |position: MapPoint| {
         view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
     };
     PartMatch {

@@ -25,7 +25,7 @@ use crate::evidence::CellHits;
 use crate::geo::TileId;
 use crate::tile::{Ledger, Tile};
 
-pub use judge::{JudgedPart, PartVerdict, Reason, Vetted, Vetter, VettingLimits};
+pub use judge::{Excess, JudgedPart, PartVerdict, Reason, Vetted, Vetter, VettingLimits};
 pub use moved::{moved, moved_evidence};
 pub use offset::Offsets;
 

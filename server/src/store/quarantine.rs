@@ -8,6 +8,7 @@
 
 use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
+use echofix_core::point::MapPoint;
 use echofix_core::varint::{VarintReader, VarintWriter};
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::QuarantinedUpload;
@@ -30,7 +31,7 @@ pub(super) fn encode(quarantined: &QuarantinedRecord) -> Vec<u8> {
     let QuarantinedRecord { number, reason, upload } = quarantined;
     let mut out = VarintWriter { bytes: vec![0; SUM] };
     out.put(u64::from(upload.zone.epsg()));
-    for metres in upload.position {
+    for metres in [upload.position.x_m, upload.position.y_m] {
         out.put_signed((metres * 1e3).round() as i64);
     }
     out.put(u64::from(upload.day));
@@ -54,7 +55,7 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<QuarantinedRecord> {
     let mut input = VarintReader { rest: sealed(value, key)? };
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
-    let position = [metres()?, metres()?];
+    let position = MapPoint::new(metres()?, metres()?);
     let day = input.get()?;
     let reason = match input.get::<u8>()? {
         0 => Reason::Shifted,
@@ -78,18 +79,18 @@ mod tests {
     proptest! {
         #[test]
         fn a_note_survives_its_bytes_and_a_changed_one_does_not(
-            number: u64, position in [100_000.0..900_000.0_f64, 0.0..9e6_f64], day: u16, contributor: u64,
+            number: u64, place in [100_000.0..900_000.0_f64, 0.0..9e6_f64], day: u16, contributor: u64,
             offset in prop::option::of((any::<i16>(), any::<i16>(), any::<i16>())), reason in 0..3_usize,
             at: prop::sample::Index, bit in 0..8_u8,
         ) {
             let offset = offset.map(|(e, n, y)| Offset { east_mm: e.into(), north_mm: n.into(), yaw_urad: y.into() });
-            let position = position.map(|m| (m * 1e3).round() * 1e-3);
+            let position = MapPoint::from(place.map(|m| (m * 1e3).round() * 1e-3));
             let zone = Zone::from_epsg(32614).unwrap();
             let reason = [Reason::Shifted, Reason::Rotated, Reason::Disagrees][reason];
             let note = QuarantinedRecord { number, reason, upload: QuarantinedUpload { zone, position, offset, contributor, day } };
             let (key, mut value) = (key(number), encode(&note));
             let back = decode(&key, &value).unwrap();
-            prop_assert!(back.upload.position.iter().zip(position).all(|(a, b)| (a - b).abs() < 1e-6));
+            prop_assert!(back.upload.position.distance_m(position) < 1e-6);
             prop_assert_eq!(QuarantinedRecord { upload: QuarantinedUpload { position, ..back.upload }, ..back }, note);
             let at = at.index(value.len());
             value[at] ^= 1 << bit;

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::{Datum, Offset};
 use echofix_core::evidence::{EvidenceDelta, TileEvidence};
-use echofix_core::geo::{TILE_M, TileId, Zone};
+use echofix_core::geo::{TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::vetting::alarm::QuarantinedUpload;
 use echofix_core::vetting::{
     MapSide, Offsets, Reason, Vetted, Vetter, VettingLimits, has_other_contributors, moved_evidence,
@@ -99,16 +100,14 @@ fn by_zone(contribution: &EvidenceDelta) -> BTreeMap<Zone, Vec<(TileId, &TileEvi
     zones
 }
 
-/// Map metres of the middle of the tiles, each counting by its cells.
-fn middle(shares: &[(TileId, &TileEvidence)]) -> [f64; 2] {
+/// The middle of the tiles, each counting by its cells.
+fn middle(shares: &[(TileId, &TileEvidence)]) -> MapPoint {
     let cells: usize = shares.iter().map(|(_, share)| share.cells.len()).sum();
-    let weighted = |axis: usize| {
-        let at = |(id, share): &(TileId, &TileEvidence)| {
-            (id.origin()[axis] + 0.5 * TILE_M) * share.cells.len() as f64
-        };
+    let weighted = |along: fn(MapPoint) -> f64| {
+        let at = |(id, share): &(TileId, &TileEvidence)| along(id.centre()) * share.cells.len() as f64;
         shares.iter().map(at).sum::<f64>() / cells.max(1) as f64
     };
-    [weighted(0), weighted(1)]
+    MapPoint::new(weighted(|p| p.x_m), weighted(|p| p.y_m))
 }
 
 /// The map without what only the upload's own contributor contributed.
