@@ -139,7 +139,7 @@ pub struct GatedScan<'a> {
     pub body: Pose2,
     /// Where the radar sits on it.
     pub mount: &'a Mount,
-    /// Its points.
+    /// Its points, in the radar's frame.
     pub points: &'a [SensorPoint],
 }
 

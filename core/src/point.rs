@@ -57,7 +57,8 @@ impl From<MapPoint> for [f64; 2] {
     }
 }
 
-/// A position in the body's frame: ground metres, single precision.
+/// A position in the body's frame, be it where a batch puts the body or where a computation thinks one: ground
+/// metres, single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(C)]
 pub struct BodyPoint {

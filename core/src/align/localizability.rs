@@ -152,8 +152,8 @@ pub struct Assessor {
 }
 
 impl Assessor {
-    /// What a fix at a position can be expected to be, from the tiles that exist in a square
-    /// around it: it must hold the search's extent and [`REACH_M`] in every direction.
+    /// What a fix at a position can be expected to be, from the tiles that exist in a square around it: it
+    /// must hold the search's extent and [`REACH_M`] in every direction.
     ///
     /// The same tiles give the same answer, to the bit.
     pub fn assess(

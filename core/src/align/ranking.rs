@@ -43,8 +43,8 @@ impl Ranking<'_> {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// The fraction of the points that pass a test of where they lie on the map, seen by a body at a pose; 0 without
-    /// points.
+    /// The fraction of the points that pass a test of where they lie on the map, seen by a body at a pose; 0
+    /// without points.
     pub fn fraction(&self, pose: &Pose2, passes: impl Fn(MapPoint) -> bool) -> f64 {
         let scale = self.question.prior.scale;
         let on_map = |point: &WeightedPoint| pose.to_map(point.position(), scale);

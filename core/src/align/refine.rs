@@ -66,8 +66,7 @@ impl RefinedCandidate {
     }
 }
 
-/// Refines a candidate with rigid points: most of the way with a part of
-/// them, for that takes less time.
+/// Refines a candidate with rigid points: most of the way with a part of them, for that takes less time.
 #[must_use]
 pub fn refine(
     field: &ScoreField,

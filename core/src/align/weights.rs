@@ -31,7 +31,7 @@ pub struct OccupiedBlock {
     pub hits: f32,
 }
 
-/// How often the cells of hits were passed over.
+/// Hits, and the passes over their cells: how often a map was driven.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PassSums {
     /// Hits weighted by the passes of their cells.
@@ -79,7 +79,7 @@ pub struct TileWeights {
     pub newest_day: u16,
     /// What its contributions were moved by.
     pub datum: Datum,
-    /// Of the tile itself.
+    /// How often the cells of the tile itself were passed over.
     pub passes: PassSums,
 }
 

@@ -88,8 +88,8 @@ impl Datum {
     }
 }
 
-/// The mean offset at a position, interpolated between the centres of the four tiles around it;
-/// tiles without a datum are left out. Zero where there is none at all.
+/// The mean offset at a position, interpolated between the centres of the four tiles around it; tiles without
+/// a datum are left out. Zero where there is none at all.
 ///
 /// What lies at `position` on the map is really at `position` less this.
 #[must_use]

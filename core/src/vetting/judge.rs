@@ -106,12 +106,12 @@ pub enum PartVerdict {
     Found {
         /// Shift and turn beyond the expected ones, drawn to zero where the map does not determine them.
         error: Pose2,
-        /// The same in limits.
+        /// The same, relative to what is allowed.
         excess: Excess,
     },
 }
 
-/// An error in limits: 1 is what is allowed.
+/// An error relative to what is allowed: up to 1 it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Excess {
     /// Of the shift.

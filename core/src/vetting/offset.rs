@@ -25,8 +25,8 @@ struct PartOffset {
 }
 
 impl Offsets {
-    /// Adds an offset measured around a position; it turns about that position. `weight` is its
-    /// weight among others.
+    /// Adds an offset measured around a position; it turns about that position. `weight` is its weight among
+    /// others.
     pub fn push(&mut self, middle: MapPoint, offset: Offset, weight: f64) {
         self.parts.push(PartOffset { middle, offset, weight });
     }
