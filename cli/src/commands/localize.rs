@@ -141,8 +141,11 @@ pub fn print_summary(summary: &FixSummary) {
         "beyond a protection level           {} of the usable answers: along, across or of the heading",
         summary.beyond_protection
     );
-    if let (Some(along), Some(cross), Some(yaw)) = (summary.nees_along, summary.nees_cross, summary.nees_yaw) {
-        println!("NEES of usable answers (1 is honest) along {along:.2}   across {cross:.2}   heading {yaw:.2}");
+    if let (Some(along), Some(cross), Some(yaw)) = (summary.nees_along, summary.nees_cross, summary.nees_yaw)
+    {
+        println!(
+            "NEES of usable answers (1 is honest) along {along:.2}   across {cross:.2}   heading {yaw:.2}"
+        );
     }
     row("ms on the server", summary.server_ms, 1);
     row("kB a request", summary.request_kb, 1);
