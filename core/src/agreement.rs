@@ -3,18 +3,20 @@
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
+use crate::point::MapPoint;
+
 /// The map's points around a position, ready for nearest-neighbour questions.
 pub struct MapPointIndex {
     /// Points relative to `origin`: f32 is exact to a millimetre within some kilometres only.
     tree: Option<ImmutableKdTree<f32, 2>>,
-    origin: [f64; 2],
+    origin: MapPoint,
     points: usize,
 }
 
 impl MapPointIndex {
-    /// Indexes points, map metres. No points make an index that nothing agrees with.
+    /// Indexes points. No points make an index that nothing agrees with.
     #[must_use]
-    pub fn new(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+    pub fn new(points: impl IntoIterator<Item = MapPoint>) -> Self {
         let mut points = points.into_iter().peekable();
         let origin = points.peek().copied().unwrap_or_default();
         let local: Vec<[f32; 2]> = points.map(|p| relative(p, origin)).collect();
@@ -30,15 +32,15 @@ impl MapPointIndex {
 
     /// Distance to the nearest map point, metres; `None` without any map point.
     #[must_use]
-    pub fn distance_m(&self, point: [f64; 2]) -> Option<f64> {
+    pub fn distance_m(&self, point: MapPoint) -> Option<f64> {
         let point = relative(point, self.origin);
         let nearest = self.tree.as_ref()?.query(&point).nearest_one::<SquaredEuclidean<f32>>().execute();
         Some(f64::from(nearest.distance).sqrt())
     }
 
-    /// Fraction of the points, map metres, that have a map point within `radius_m`; 0 without points.
+    /// Fraction of the points that have a map point within `radius_m`; 0 without points.
     #[must_use]
-    pub fn matched_fraction(&self, points: impl IntoIterator<Item = [f64; 2]>, radius_m: f64) -> f64 {
+    pub fn matched_fraction(&self, points: impl IntoIterator<Item = MapPoint>, radius_m: f64) -> f64 {
         let (mut matched, mut all) = (0_u32, 0_u32);
         for point in points {
             all += 1;
@@ -48,8 +50,9 @@ impl MapPointIndex {
     }
 }
 
-fn relative(point: [f64; 2], origin: [f64; 2]) -> [f32; 2] {
-    [(point[0] - origin[0]) as f32, (point[1] - origin[1]) as f32]
+/// What the tree takes.
+fn relative(point: MapPoint, origin: MapPoint) -> [f32; 2] {
+    [(point.x_m - origin.x_m) as f32, (point.y_m - origin.y_m) as f32]
 }
 
 #[cfg(test)]
@@ -57,10 +60,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn points(n: std::ops::Range<usize>) -> impl Strategy<Value = Vec<[f64; 2]>> {
+    fn points(n: std::ops::Range<usize>) -> impl Strategy<Value = Vec<MapPoint>> {
         let coordinate = || 0.0..100.0_f64;
         prop::collection::vec(
-            (coordinate(), coordinate()).prop_map(|(x, y)| [600_000.0 + x, 3_300_000.0 + y]),
+            (coordinate(), coordinate()).prop_map(|(x, y)| MapPoint::new(600_000.0 + x, 3_300_000.0 + y)),
             n,
         )
     }
@@ -70,7 +73,7 @@ mod tests {
         fn the_nearest_is_what_a_full_search_finds(map in points(1..300), query in points(1..20)) {
             let index = MapPointIndex::new(map.iter().copied());
             for q in query {
-                let best = map.iter().map(|p| (p[0] - q[0]).hypot(p[1] - q[1])).fold(f64::INFINITY, f64::min);
+                let best = map.iter().map(|p| p.distance_m(q)).fold(f64::INFINITY, f64::min);
                 prop_assert!((index.distance_m(q).unwrap() - best).abs() < 1e-3);
             }
         }
@@ -78,16 +81,16 @@ mod tests {
 
     #[test]
     fn the_fraction_counts_points_within_the_radius() {
-        let index = MapPointIndex::new([[1000.0, 0.0], [1010.0, 0.0]]);
-        let asked = [[1000.2, 0.0], [1005.0, 0.0], [1010.0, 0.3], [1020.0, 0.0]];
+        let index = MapPointIndex::new([1000.0, 1010.0].map(|x| MapPoint::new(x, 0.0)));
+        let asked = [[1000.2, 0.0], [1005.0, 0.0], [1010.0, 0.3], [1020.0, 0.0]].map(MapPoint::from);
         assert!((index.matched_fraction(asked, 0.5) - 0.5).abs() < 1e-12);
         assert!(MapPointIndex::new([]).matched_fraction(asked, 0.5).abs() < 1e-12);
-        assert!(MapPointIndex::new([]).distance_m([0.0, 0.0]).is_none());
+        assert!(MapPointIndex::new([]).distance_m(MapPoint::default()).is_none());
     }
 
     #[test]
     fn many_points_on_one_line_are_indexed_too() {
-        let index = MapPointIndex::new((0..5000).map(|i| [5.0, f64::from(i % 7)]));
-        assert!((index.distance_m([6.0, 3.0]).unwrap() - 1.0).abs() < 1e-5);
+        let index = MapPointIndex::new((0..5000).map(|i| MapPoint::new(5.0, f64::from(i % 7))));
+        assert!((index.distance_m(MapPoint::new(6.0, 3.0)).unwrap() - 1.0).abs() < 1e-5);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::gate::{Dropped, Gate, UnknownSensor, for_each_gated_scan};
 use crate::odometry::Trajectory;
+use crate::point::BodyPoint;
 use crate::pose::Pose2;
 use crate::scan::{Mount, ScanView, in_time_order};
 
@@ -33,8 +34,8 @@ pub struct Sighting {
 /// A batch: points in the frame of the body at the reference time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
-    /// Ground metres, x forward and y left of the body at the reference time.
-    pub points: Vec<[f32; 2]>,
+    /// In the frame of the body at the reference time.
+    pub points: Vec<BodyPoint>,
     /// Which scan saw which points, in order of the points; scans without points are left out.
     pub sightings: Vec<Sighting>,
     /// Detections that were given.
@@ -88,7 +89,11 @@ impl Batch {
             let sensor = body.compose(scan.mount);
             let (s, c) = sensor.yaw_rad.sin_cos();
             let [x0, y0, s, c] = [sensor.x_m, sensor.y_m, s, c].map(|v| v as f32);
-            points.extend(scan.points.iter().map(|[x, y]| [x0 + c * x - s * y, y0 + s * x + c * y]));
+            points.extend(
+                scan.points
+                    .iter()
+                    .map(|p| BodyPoint { x_m: x0 + c * p.x_m - s * p.y_m, y_m: y0 + s * p.x_m + c * p.y_m }),
+            );
         })?;
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
         Ok(Self { points, sightings, detections: rows as u64, dropped, duration_s, travelled_m, speed_mps })
@@ -153,8 +158,8 @@ mod tests {
         let end = odometry.at(99 * 50_000).unwrap();
         assert_eq!(batch.points.len(), 100);
         assert_eq!(batch.dropped, Dropped { too_far: 100, ..Dropped::default() });
-        for [x, y] in &batch.points {
-            assert!((f64::from(*x) - (30.0 - end.x_m)).abs() < 1e-4 && (f64::from(*y) - 3.0).abs() < 1e-4);
+        for BodyPoint { x_m, y_m } in batch.points {
+            assert!((f64::from(x_m) - (30.0 - end.x_m)).abs() < 1e-4 && (f64::from(y_m) - 3.0).abs() < 1e-4);
         }
         assert_eq!(batch.sightings.len(), 100);
         for (i, seen) in batch.sightings.iter().enumerate() {

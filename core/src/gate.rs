@@ -13,6 +13,7 @@ use wide::f32x8;
 
 use crate::doppler::{sensor_velocity, static_radial_speed};
 use crate::odometry::{BodyVelocity, Trajectory};
+use crate::point::{MapPoint, SensorPoint};
 use crate::pose::Pose2;
 use crate::scan::{Mount, Scan, ScanView};
 
@@ -138,8 +139,8 @@ pub struct GatedScan<'a> {
     pub body: Pose2,
     /// Where the radar sits on it.
     pub mount: &'a Mount,
-    /// Metres along the radar's boresight and left of it.
-    pub points: &'a [[f32; 2]],
+    /// Its points, in the radar's frame.
+    pub points: &'a [SensorPoint],
 }
 
 impl GatedScan<'_> {
@@ -151,14 +152,14 @@ impl GatedScan<'_> {
         self.body.compose(&Pose2::new(scale * x_m, scale * y_m, yaw_rad))
     }
 
-    /// The points in the trajectory's frame, metres; `scale` as for [`GatedScan::sensor`].
-    pub fn points_in_frame(&self, scale: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
+    /// The points on the map, where the trajectory is of poses on it; `scale` as for [`GatedScan::sensor`].
+    pub fn points_on_map(&self, scale: f64) -> impl Iterator<Item = MapPoint> + '_ {
         let sensor = self.sensor(scale);
         let (s, c) = sensor.yaw_rad.sin_cos();
         let (s, c) = (scale * s, scale * c);
         self.points.iter().map(move |point| {
-            let [x, y] = point.map(f64::from);
-            [sensor.x_m + c * x - s * y, sensor.y_m + s * x + c * y]
+            let (x, y) = (f64::from(point.x_m), f64::from(point.y_m));
+            MapPoint::new(sensor.x_m + c * x - s * y, sensor.y_m + s * x + c * y)
         })
     }
 }
@@ -222,12 +223,12 @@ impl RowGate {
     fn apply<'b>(
         &self,
         scan: &ScanView<'_>,
-        buffer: &'b mut Vec<[f32; 2]>,
+        buffer: &'b mut Vec<SensorPoint>,
         dropped: &mut Dropped,
-    ) -> &'b [[f32; 2]] {
+    ) -> &'b [SensorPoint] {
         let rows = scan.range_m.len();
         // Room for a last group that is not full.
-        buffer.resize(rows + LANES, [0.0; 2]);
+        buffer.resize(rows + LANES, SensorPoint::default());
         let mut passed = 0;
         for from in (0..rows).step_by(LANES) {
             let lanes = |column: &[f32]| group(column, from);
@@ -245,7 +246,7 @@ impl RowGate {
             let pass = given & !far & !moving;
             // Written in any case, and overwritten by the next one unless it passed: no branches.
             for lane in 0..LANES {
-                buffer[passed] = [x[lane], y[lane]];
+                buffer[passed] = SensorPoint { x_m: x[lane], y_m: y[lane] };
                 passed += (pass >> lane & 1) as usize;
             }
         }
@@ -318,12 +319,12 @@ mod tests {
             let mut found = Vec::new();
             let dropped = for_each_gated_scan([&scan], &[mount], &trajectory, &gate, |scan| {
                 assert_eq!(scan.time_us, time_us);
-                found.extend(scan.points_in_frame(1.0));
+                found.extend(scan.points_on_map(1.0));
             });
             prop_assert_eq!(dropped, Ok(expected.0));
             prop_assert_eq!(found.len(), expected.1.len());
             for (a, b) in found.iter().zip(&expected.1) {
-                prop_assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-4, "{a:?} {b:?}");
+                prop_assert!(a.distance_m((*b).into()) < 1e-4, "{a:?} {b:?}");
             }
         }
     }

@@ -13,22 +13,23 @@
 //! use echofix_core::align_once;
 //! use echofix_core::odometry::Trajectory;
 //! use echofix_core::once::{OnceOptions, VehicleScans};
+//! use echofix_core::point::MapPoint;
 //! use echofix_core::pose::Pose2;
 //! use echofix_core::scan::{Mount, Scan};
 //!
 //! // The map: two fronts with bays, map metres.
 //! let front = |side: f64| (0..900).map(move |i| {
 //!     let along = 0.1 * f64::from(i);
-//!     [along, side * (9.0 + 1.5 * (0.7 * along + side).sin() + (1.9 * along).cos())]
+//!     MapPoint::new(along, side * (9.0 + 1.5 * (0.7 * along + side).sin() + (1.9 * along).cos()))
 //! });
-//! let map: Vec<[f64; 2]> = front(1.0).chain(front(-1.0)).collect();
+//! let map: Vec<MapPoint> = front(1.0).chain(front(-1.0)).collect();
 //!
 //! // Five seconds at 8 m/s: the true poses, odometry in a frame of its own, and ten scans a second.
 //! let truth = |i: i64| Pose2::new(20.0 + 0.8 * i as f64, 0.5, 0.0);
 //! let odometry = Trajectory::new((0..=50).map(|i| (i * 100_000, Pose2::new(0.8 * i as f64, 0.0, 0.0))))?;
 //! let scan = |i: i64| {
 //!     let body = truth(i).inverse();
-//!     let seen: Vec<_> = map.iter().step_by(3).map(|p| body.transform(*p)).collect();
+//!     let seen: Vec<_> = map.iter().step_by(3).map(|p| body.transform((*p).into())).collect();
 //!     Scan {
 //!         time_us: i * 100_000,
 //!         range_m: seen.iter().map(|[x, y]| x.hypot(*y) as f32).collect(),
@@ -55,6 +56,7 @@
 //!
 //! - [`once`]: one alignment from plain points, as above.
 //! - [`pose`]: planar poses and how they compose.
+//! - [`point`]: points on the map, in the body's frame, in a radar's.
 //! - [`geo`]: WGS-84 to UTM and back, meridian convergence, scale factor, zones, tile ids.
 //! - [`scan`]: one radar's detections at one time, and where the radar sits.
 //! - [`odometry`]: the vehicle's relative trajectory, interpolated at scan times.
@@ -87,6 +89,7 @@ pub mod gate;
 pub mod geo;
 pub mod odometry;
 pub mod once;
+pub mod point;
 pub mod pose;
 pub mod scan;
 mod sealed;

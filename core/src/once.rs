@@ -12,6 +12,7 @@ use crate::evidence::{Cell, OFFSET_STEPS, presence};
 use crate::gate::{Dropped, Gate};
 use crate::geo::{CELL_M, CellIndex, TILE_M, TileId, Zone};
 use crate::odometry::Trajectory;
+use crate::point::MapPoint;
 use crate::scan::{self, Mount, Scan};
 use crate::tile::Tile;
 use crate::window::MapSquare;
@@ -127,7 +128,7 @@ pub enum Error {
     },
 }
 
-/// Aligns scans with a map that is given as points (map metres), around a prior: the pose of the body at the
+/// Aligns scans with a map that is given as points, around a prior: the pose of the body at the
 /// time of the newest scan, with its errors and whether it may be used.
 ///
 /// The map is prepared anew each time. Who asks more than once keeps [`TileWeights`] and an [`Aligner`].
@@ -136,7 +137,7 @@ pub enum Error {
 /// When there is nothing to align; the error says what to change. A pose that is doubtful is no error but a
 /// verdict: see [`Alignment::verdict`].
 pub fn align_once(
-    map_points: &[[f64; 2]],
+    map_points: &[MapPoint],
     seen: &VehicleScans<'_>,
     prior: &Prior,
     options: &OnceOptions<'_>,
@@ -145,7 +146,7 @@ pub fn align_once(
     let search_m = checked_search_m(prior, search)?;
     let batch = batch(seen, gate)?;
     let Ok(zone) = Zone::from_epsg(PLANE_EPSG) else { unreachable!("{PLANE_EPSG} is a zone of UTM") };
-    let position = [prior.pose.x_m, prior.pose.y_m];
+    let position = MapPoint::of(&prior.pose);
     let square = MapSquare::around(zone, position, search.extent_m, search_m);
     // A tile's weights take in the hits of its neighbours.
     let reach_m = 0.5 * square.side as f64 * CELL_M + 2.0 * TILE_M;
@@ -192,17 +193,17 @@ fn batch(seen: &VehicleScans<'_>, gate: &Gate) -> Result<Batch, Error> {
 /// The map's tiles around a position, as one survey would have made them.
 pub(crate) fn tiles_of(
     zone: Zone,
-    points: &[[f64; 2]],
-    position: [f64; 2],
+    points: &[MapPoint],
+    position: MapPoint,
     reach_m: f64,
 ) -> Result<BTreeMap<TileId, Tile>, Error> {
     let mut cells: BTreeMap<TileId, BTreeMap<u32, Cell>> = BTreeMap::new();
     for (index, point) in points.iter().enumerate() {
-        let [x_m, y_m] = *point;
+        let MapPoint { x_m, y_m } = *point;
         if !(x_m.abs() < PLANE_M && y_m.abs() < PLANE_M) {
             return Err(Error::MapPoint { index, x_m, y_m });
         }
-        if (x_m - position[0]).abs().max((y_m - position[1]).abs()) > reach_m {
+        if (x_m - position.x_m).abs().max((y_m - position.y_m).abs()) > reach_m {
             continue;
         }
         let at = CellIndex::of(*point);
@@ -210,8 +211,8 @@ pub(crate) fn tiles_of(
         let once = Cell { passes: 1, contributors: 1, presence: presence::ALWAYS, ..Cell::default() };
         let cell = cells.entry(id).or_default().entry(index).or_insert(once);
         cell.hits += 1;
-        for (axis, corner) in [at.x, at.y].into_iter().enumerate() {
-            let steps = (point[axis] / CELL_M - corner as f64) * f64::from(OFFSET_STEPS);
+        for (axis, (along, corner)) in [(x_m, at.x), (y_m, at.y)].into_iter().enumerate() {
+            let steps = (along / CELL_M - corner as f64) * f64::from(OFFSET_STEPS);
             cell.offset_sum[axis] += (steps as u32).min(OFFSET_STEPS - 1);
         }
     }

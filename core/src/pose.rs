@@ -2,6 +2,8 @@
 
 use std::f64::consts::PI;
 
+use crate::point::{BodyPoint, MapPoint};
+
 /// A rigid pose in the plane: metres and radians, yaw counter-clockwise from the x axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose2 {
@@ -23,11 +25,19 @@ impl Pose2 {
         Self { x_m, y_m, yaw_rad }
     }
 
-    /// Maps a point of this pose's own frame into the frame the pose is given in.
+    /// Maps coordinates of this pose's own frame into the frame the pose is given in, whichever two these
+    /// are. From the body to the map it is [`Pose2::to_map`].
     #[must_use]
     pub fn transform(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (s, c) = self.yaw_rad.sin_cos();
         [self.x_m + c * x - s * y, self.y_m + s * x + c * y]
+    }
+
+    /// Where a point of the body lies on the map, for the body's pose on it; `scale` is the map's metres per
+    /// ground metre.
+    #[must_use]
+    pub fn to_map(&self, point: BodyPoint, scale: f64) -> MapPoint {
+        self.transform([f64::from(point.x_m) * scale, f64::from(point.y_m) * scale]).into()
     }
 
     /// `self` then `inner`: the pose of `inner`, which is given in the frame of `self`.

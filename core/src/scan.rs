@@ -117,7 +117,8 @@ impl Scan {
         self.range_m.is_empty()
     }
 
-    /// The detection's position in the sensor's frame, metres (x along the boresight, y left).
+    /// The detection's position in the sensor's frame, metres (x along the boresight, y left), in double
+    /// precision: what [`crate::pose::Pose2::transform`] takes.
     #[must_use]
     pub fn sensor_point(&self, row: usize) -> [f64; 2] {
         let (range, azimuth) = (f64::from(self.range_m[row]), f64::from(self.azimuth_rad[row]));

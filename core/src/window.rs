@@ -5,6 +5,7 @@
 
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, CellIndex, TileId, Zone};
+use crate::point::MapPoint;
 use crate::tile::Tile;
 
 /// Step of the lattice of square centres, cells.
@@ -22,11 +23,11 @@ pub struct MapSquare {
 }
 
 impl MapSquare {
-    /// The square to align against around map metres: it holds `extent_m` in every direction of
+    /// The square to align against around a position: it holds `extent_m` in every direction of
     /// every pose within `search_m` of the position, plus the lattice's slack. Its side is a length
     /// the FFT likes.
     #[must_use]
-    pub fn around(zone: Zone, position: [f64; 2], extent_m: f64, search_m: f64) -> Self {
+    pub fn around(zone: Zone, position: MapPoint, extent_m: f64, search_m: f64) -> Self {
         let reach = ((extent_m + search_m) / CELL_M).ceil() as usize + 1;
         let side = fft_length(2 * reach + LATTICE_CELLS as usize);
         let at = CellIndex::of(position);
@@ -44,16 +45,22 @@ impl MapSquare {
         (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| TileId { zone, y, x }))
     }
 
-    /// Map metres to cells from the south-west corner (with the fraction within a cell).
+    /// A point in cells from the south-west corner (with the fraction within a cell), column and row.
     #[must_use]
-    pub fn to_cells(&self, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
-        [x_m / CELL_M - self.origin.x as f64, y_m / CELL_M - self.origin.y as f64]
+    pub fn to_cells(&self, point: MapPoint) -> [f64; 2] {
+        [point.x_m / CELL_M - self.origin.x as f64, point.y_m / CELL_M - self.origin.y as f64]
     }
 
-    /// Cells from the south-west corner to map metres.
+    /// The south-west corner.
     #[must_use]
-    pub fn to_metres(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [(x + self.origin.x as f64) * CELL_M, (y + self.origin.y as f64) * CELL_M]
+    pub fn corner(&self) -> MapPoint {
+        self.to_map([0.0, 0.0])
+    }
+
+    /// The point so many cells from the south-west corner, by column and row.
+    #[must_use]
+    pub fn to_map(&self, [x, y]: [f64; 2]) -> MapPoint {
+        MapPoint::new((x + self.origin.x as f64) * CELL_M, (y + self.origin.y as f64) * CELL_M)
     }
 }
 
@@ -141,39 +148,39 @@ mod tests {
     proptest! {
         #[test]
         fn a_square_holds_every_pose_searched_with_its_batch(x in -1e5..1e6_f64, y in 0.0..9e6_f64, search in 0.1..30.0_f64) {
-            let square = MapSquare::around(zone(), [x, y], 50.0, search);
+            let square = MapSquare::around(zone(), MapPoint::new(x, y), 50.0, search);
             for sign in [-1.0, 1.0] {
-                let [u, v] = square.to_cells([x + sign * (50.0 + search), y + sign * (50.0 + search)]);
+                let [u, v] = square.to_cells(MapPoint::new(x, y).moved(sign * (50.0 + search), sign * (50.0 + search)));
                 prop_assert!(u >= 0.0 && v >= 0.0 && u < square.side as f64 && v < square.side as f64);
             }
             let tiles: Vec<_> = square.tiles().collect();
-            prop_assert!(tiles.contains(&TileId::of(zone(), [x, y])));
-            let back = square.to_metres(square.to_cells([x, y]));
-            prop_assert!((back[0] - x).abs() < 1e-6 && (back[1] - y).abs() < 1e-6);
+            prop_assert!(tiles.contains(&TileId::of(zone(), MapPoint::new(x, y))));
+            let back = square.to_map(square.to_cells(MapPoint::new(x, y)));
+            prop_assert!((back.x_m - x).abs() < 1e-6 && (back.y_m - y).abs() < 1e-6);
         }
     }
 
     #[test]
     fn neighbours_have_the_same_square() {
-        let a = MapSquare::around(zone(), [600_003.0, 3_300_003.0], 50.0, 6.0);
-        let b = MapSquare::around(zone(), [600_002.1, 3_300_002.9], 50.0, 6.0);
+        let a = MapSquare::around(zone(), MapPoint::new(600_003.0, 3_300_003.0), 50.0, 6.0);
+        let b = MapSquare::around(zone(), MapPoint::new(600_002.1, 3_300_002.9), 50.0, 6.0);
         assert_eq!(a, b);
         assert_eq!(a.side, 1200);
     }
 
     #[test]
     fn cells_keep_their_position_on_the_map() {
-        let position = [600_010.03, 3_300_020.07];
+        let position = MapPoint::new(600_010.03, 3_300_020.07);
         let (id, index) = TileId::locate(zone(), CellIndex::of(position));
         let tile = Tile::from_cells(vec![(
             index,
             Cell { hits: 1, passes: 1, offset_sum: [76, 179], ..Cell::default() },
         )])
         .unwrap();
-        let square = MapSquare::around(zone(), [600_000.0, 3_300_000.0], 50.0, 6.0);
+        let square = MapSquare::around(zone(), MapPoint::new(600_000.0, 3_300_000.0), 50.0, 6.0);
         let window = EvidenceWindow::stitch(square, [(id, &tile)]);
-        let [x, y] = square.to_metres(window.cells[0].centroid());
-        assert!((x - position[0]).abs() < 1e-3 && (y - position[1]).abs() < 1e-3, "{x} {y}");
+        let there = square.to_map(window.cells[0].centroid());
+        assert!(there.distance_m(position) < 1e-3, "{there:?}");
     }
 
     #[test]

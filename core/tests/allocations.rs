@@ -13,6 +13,7 @@ use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Search, Task};
 use echofix_core::batch::{Batch, Sighting};
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, TileId, Zone};
+use echofix_core::point::{BodyPoint, MapPoint};
 use echofix_core::pose::Pose2;
 use echofix_core::tile::Tile;
 use echofix_core::window::MapSquare;
@@ -77,8 +78,8 @@ impl Scene {
         let pose = Pose2::new(truth.x_m + off[0], truth.y_m + off[1], truth.yaw_rad + 0.02);
         let sigma_yaw_rad = 3_f64.to_radians();
         let prior = Prior { pose, sigma_position_m, sigma_yaw_rad, scale: 1.0 };
-        let square = MapSquare::around(zone, [pose.x_m, pose.y_m], 50.0, 3.0 * sigma_position_m);
-        let on_map: Vec<_> = structure.iter().map(|p| truth.transform(*p)).collect();
+        let square = MapSquare::around(zone, MapPoint::of(&pose), 50.0, 3.0 * sigma_position_m);
+        let on_map: Vec<_> = structure.iter().map(|p| truth.transform(*p).into()).collect();
         Self { square, tiles: weights(&square, &on_map), batch: batch(&structure, &mut rng), prior }
     }
 
@@ -109,15 +110,15 @@ fn batch(structure: &[[f64; 2]], rng: &mut ChaCha8Rng) -> Batch {
         batch.sightings.push(Sighting { first: batch.points.len(), age_s, body });
         for _ in 0..80 {
             let [x, y] = structure[rng.random_range(0..structure.len())];
-            let noisy = [x, y].map(|v| (v + rng.random_range(-0.1..0.1)) as f32);
-            batch.points.push(noisy);
+            let [x_m, y_m] = [x, y].map(|v| (v + rng.random_range(-0.1..0.1)) as f32);
+            batch.points.push(BodyPoint { x_m, y_m });
         }
     }
     batch.detections = batch.points.len() as u64;
     batch
 }
 
-fn weights(square: &MapSquare, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
+fn weights(square: &MapSquare, points: &[MapPoint]) -> Vec<Arc<TileWeights>> {
     let mut cells: BTreeMap<TileId, BTreeMap<u32, Cell>> = BTreeMap::new();
     for point in points {
         let (id, index) = TileId::locate(square.zone, CellIndex::of(*point));

@@ -9,6 +9,6 @@ pub fn bar(what: &'static str, length: u64, json: bool) -> ProgressBar {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg:<34} {bar:30.cyan} {pos:>5}/{len} {elapsed:>4}")
-        .expect("the template is well-formed");
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::new(length).with_style(style).with_message(what)
 }

@@ -78,7 +78,7 @@ fn batches(drive: &Drive) {
             }
             let sensor = pose.compose(&drive.mounts[scan.sensor]);
             for row in (0..scan.len()).filter(|row| f64::from(scan.range_m[*row]) < gate.max_range_m) {
-                cells.insert(CellIndex::of(sensor.transform(scan.sensor_point(row))));
+                cells.insert(CellIndex::of(sensor.transform(scan.sensor_point(row)).into()));
                 hits += 1;
             }
         }

@@ -1,6 +1,7 @@
 //! Where the town lies on the globe.
 
 use echofix_core::geo::{Grid, LatLon, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 
 use crate::error::Error;
@@ -15,7 +16,7 @@ use crate::plane::Point;
 pub struct Site {
     origin: LatLon,
     zone: Zone,
-    origin_map_m: Point,
+    origin_on_map: MapPoint,
     scale: f64,
 }
 
@@ -29,7 +30,7 @@ impl Site {
         Ok(Self {
             origin,
             zone: grid.zone(),
-            origin_map_m: grid.project(origin)?,
+            origin_on_map: grid.project(origin)?,
             scale: grid.scale_factor(origin)?,
         })
     }
@@ -52,22 +53,23 @@ impl Site {
         self.scale
     }
 
-    /// Map metres [easting, northing] of a position in the city, which is given in ground metres.
+    /// Where a position in the city, ground metres, lies on the map.
     #[must_use]
-    pub fn to_map(&self, [x_m, y_m]: Point) -> Point {
-        [self.origin_map_m[0] + self.scale * x_m, self.origin_map_m[1] + self.scale * y_m]
+    pub fn to_map(&self, [x_m, y_m]: Point) -> MapPoint {
+        self.origin_on_map.moved(self.scale * x_m, self.scale * y_m)
     }
 
-    /// The position in the city, ground metres, of map metres [easting, northing].
+    /// The position in the city, ground metres, of a point on the map.
     #[must_use]
-    pub fn from_map(&self, [x_m, y_m]: Point) -> Point {
-        [(x_m - self.origin_map_m[0]) / self.scale, (y_m - self.origin_map_m[1]) / self.scale]
+    pub fn from_map(&self, point: MapPoint) -> Point {
+        let origin = self.origin_on_map;
+        [(point.x_m - origin.x_m) / self.scale, (point.y_m - origin.y_m) / self.scale]
     }
 
     /// A city pose on the UTM plane: map metres, yaw counter-clockwise from grid east.
     #[must_use]
     pub fn pose_to_map(&self, pose: &Pose2) -> Pose2 {
-        let [x_m, y_m] = self.to_map([pose.x_m, pose.y_m]);
+        let MapPoint { x_m, y_m } = self.to_map([pose.x_m, pose.y_m]);
         Pose2::new(x_m, y_m, pose.yaw_rad)
     }
 }

@@ -16,6 +16,7 @@ use echofix_core::evidence::{EvidenceAccumulator, Pass};
 use echofix_core::gate::Gate;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
+use echofix_core::point::MapPoint;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::window::MapSquare;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
@@ -73,7 +74,7 @@ impl BenchScene {
         let mut pose = on_grid(&grid, &lost.truth).at(middle).expect("the truth covers the drive");
         (pose.x_m, pose.y_m, pose.yaw_rad) = (pose.x_m + 1.0, pose.y_m - 1.5, pose.yaw_rad + 0.03);
         let prior = Prior { pose, sigma_position_m: 2.0, sigma_yaw_rad: 3_f64.to_radians(), scale };
-        let square = MapSquare::around(grid.zone(), [pose.x_m, pose.y_m], 50.0, 6.0);
+        let square = MapSquare::around(grid.zone(), MapPoint::of(&pose), 50.0, 6.0);
         let tiles = tiles.into_iter().map(|(id, (tile, _))| (id, tile)).collect();
         Self { tiles, square, batch, prior }
     }

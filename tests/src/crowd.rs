@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use echofix_core::drive::Drive;
 use echofix_core::evidence::{CellHits, EvidenceDelta, TileEvidence, codec};
 use echofix_core::geo::{CellIndex, Grid, TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::tile;
 use echofix_proto::v1::upload_request::Part;
@@ -37,28 +38,28 @@ pub fn shifted(mut drive: Drive, east_m: f64, north_m: f64) -> Drive {
 pub fn turned(mut drive: Drive, yaw_rad: f64) -> Drive {
     move_all(&mut drive, |pose, middle| {
         let (s, c) = yaw_rad.sin_cos();
-        let [x, y] = [pose.x_m - middle[0], pose.y_m - middle[1]];
-        Pose2::new(middle[0] + c * x - s * y, middle[1] + s * x + c * y, pose.yaw_rad + yaw_rad)
+        let (x, y) = (pose.x_m - middle.x_m, pose.y_m - middle.y_m);
+        Pose2::new(middle.x_m + c * x - s * y, middle.y_m + s * x + c * y, pose.yaw_rad + yaw_rad)
     });
     drive
 }
 
-fn move_all(drive: &mut Drive, to: impl Fn(&Pose2, [f64; 2]) -> Pose2) {
+fn move_all(drive: &mut Drive, to: impl Fn(&Pose2, MapPoint) -> Pose2) {
     let grid = Grid::of(drive.reference[0].at).expect("the town is on the map");
     let on_grid = |pose: &echofix_core::drive::GeoPose| {
         grid.pose_from_geodetic(pose.at, pose.yaw_rad).expect("the town is on the map")
     };
     let poses: Vec<Pose2> = drive.reference.iter().map(on_grid).collect();
     let count = poses.len() as f64;
-    let middle =
-        [poses.iter().map(|p| p.x_m).sum::<f64>() / count, poses.iter().map(|p| p.y_m).sum::<f64>() / count];
+    let mean = |along: fn(&Pose2) -> f64| poses.iter().map(along).sum::<f64>() / count;
+    let middle = MapPoint::new(mean(|p| p.x_m), mean(|p| p.y_m));
     for (pose, before) in drive.reference.iter_mut().zip(&poses) {
         (pose.at, pose.yaw_rad) = grid.pose_to_geodetic(&to(before, middle)).expect("still on the map");
     }
 }
 
-/// Evidence that hits the cells at these map metres.
-pub fn hits(zone: Zone, points: impl IntoIterator<Item = [f64; 2]>, each: u32) -> EvidenceDelta {
+/// Evidence that hits the cells at these points.
+pub fn hits(zone: Zone, points: impl IntoIterator<Item = MapPoint>, each: u32) -> EvidenceDelta {
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     for point in points {
         let (id, index) = TileId::locate(zone, CellIndex::of(point));

@@ -8,6 +8,7 @@ use echofix_client::upload::PreparedUpload;
 use echofix_core::drive::Drive;
 use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
+use echofix_core::point::MapPoint;
 use echofix_core::time::DAY_US;
 use echofix_sim::City;
 use echofix_tests::asking;
@@ -233,7 +234,7 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
     let last = drives[0].truth.last().expect("it drove").time_us;
     let walls = (1..6).filter_map(|i| truth.at(first + (last - first) * i / 6)).flat_map(|pose| {
         let pose = grid.pose_from_geodetic(pose.at, pose.yaw_rad).expect("on the map");
-        (-15..15).map(move |i| pose.transform([4.0, 0.1 * f64::from(i)]))
+        (-15..15).map(move |i| MapPoint::from(pose.transform([4.0, 0.1 * f64::from(i)])))
     });
     let wall = hits(grid.zone(), walls, 50);
     let phantom: BTreeSet<_> =

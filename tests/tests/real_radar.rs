@@ -20,6 +20,7 @@ use echofix_core::evidence::{EvidenceAccumulator, Pass, TileEvidence};
 use echofix_core::gate::Gate;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::odometry::Trajectory;
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::tile::{Ledger, Tile};
 use echofix_core::window::MapSquare;
@@ -204,7 +205,7 @@ fn every_exact_engine_finds_the_same_maximum_in_radiate_scans() {
             let turn = normal(&mut rng, sigma_yaw_rad);
             let pose = Pose2::new(truth.x_m + east_m, truth.y_m + north_m, truth.yaw_rad + turn);
             let prior = Prior { pose, sigma_position_m, sigma_yaw_rad, scale: fragment.scale };
-            let frame = MapSquare::around(fragment.grid.zone(), [pose.x_m, pose.y_m], search.extent_m, 6.0);
+            let frame = MapSquare::around(fragment.grid.zone(), MapPoint::of(&pose), search.extent_m, 6.0);
             pipeline.assemble(frame, &fragment.weights(&frame));
             for (engine, row) in engines.into_iter().zip(&mut rows) {
                 let found = pipeline.search(engine, &batch, &prior, &search);

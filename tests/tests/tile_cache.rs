@@ -124,9 +124,9 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
 async fn a_cache_is_right_again_after_a_backup_was_restored() {
     let mut service = Service::start_with(&["mapping.vet=false"]);
     let zone = Zone::from_epsg(32614).expect("a zone of UTM");
-    let [east, north] = TileId { zone, x: 12_000, y: 65_000 }.origin();
+    let corner = TileId { zone, x: 12_000, y: 65_000 }.origin();
     let upload_one = async |service: &Service, number: u64| {
-        let wall = (0..50).map(|i| [east + 1.0 + number as f64, north + 0.1 * f64::from(i)]);
+        let wall = (0..50).map(|i| corner.moved(1.0, 0.0).moved(number as f64, 0.1 * f64::from(i)));
         let (id, contribution) = (Uuid::from_u64_pair(1, number), crowd::hits(zone, wall, 2));
         let parts = crowd::upload(id, "mapper", 1_767_225_600_000_000, &contribution);
         mapping::send(&mut grpc::mapping(service).await, &parts).await.expect("the upload counts");

@@ -137,6 +137,16 @@ pub fn print_summary(summary: &FixSummary) {
     row("heading error of usable ones, deg", summary.error_yaw_deg, 3);
     row("error of all answers, m", summary.error_all_m, 3);
     row("heading error of all, deg", summary.error_yaw_all_deg, 3);
+    println!(
+        "beyond a protection level           {} of the usable answers: along, across or of the heading",
+        summary.beyond_protection
+    );
+    if let (Some(along), Some(cross), Some(yaw)) = (summary.nees_along, summary.nees_cross, summary.nees_yaw)
+    {
+        println!(
+            "NEES of usable answers (1 is honest) along {along:.2}   across {cross:.2}   heading {yaw:.2}"
+        );
+    }
     row("ms on the server", summary.server_ms, 1);
     row("kB a request", summary.request_kb, 1);
 }

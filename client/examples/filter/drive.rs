@@ -7,6 +7,7 @@ use echofix_client::filter::{FilterConfig, FixMeasurement, PriorSource};
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::{self, Grid, LatLon};
 use echofix_core::odometry::Trajectory;
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -89,7 +90,7 @@ impl SimulatedDrive {
 /// Ground metres around the start, x towards grid east.
 struct Town {
     grid: Grid,
-    origin: [f64; 2],
+    origin: MapPoint,
     scale: f64,
 }
 
@@ -101,8 +102,8 @@ impl Town {
     }
 
     fn geodetic(&self, (time_us, pose): &(i64, Pose2)) -> Result<GeoPose, geo::Error> {
-        let [x, y] = [self.origin[0] + self.scale * pose.x_m, self.origin[1] + self.scale * pose.y_m];
-        let (at, yaw_rad) = self.grid.pose_to_geodetic(&Pose2::new(x, y, pose.yaw_rad))?;
+        let MapPoint { x_m, y_m } = self.origin.moved(self.scale * pose.x_m, self.scale * pose.y_m);
+        let (at, yaw_rad) = self.grid.pose_to_geodetic(&Pose2::new(x_m, y_m, pose.yaw_rad))?;
         Ok(GeoPose { time_us: *time_us, at, yaw_rad, ..GeoPose::default() })
     }
 }

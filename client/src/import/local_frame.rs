@@ -75,9 +75,8 @@ mod tests {
             let start = grid.pose_from_geodetic(origin, 0.0).unwrap();
             let end = start.compose(&Pose2::new(scale * east, scale * north, yaw));
             let (expected, expected_yaw) = grid.pose_to_geodetic(&end).unwrap();
-            let [x, y] = grid.project(at).unwrap();
-            let [ex, ey] = grid.project(expected).unwrap();
-            prop_assert!((x - ex).hypot(y - ey) < 0.02, "{} {}", x - ex, y - ey);
+            let (there, expected) = (grid.project(at).unwrap(), grid.project(expected).unwrap());
+            prop_assert!(there.distance_m(expected) < 0.02, "{there:?} {expected:?}");
             prop_assert!(wrap_angle(yaw_there - expected_yaw).abs() < 2e-5);
         }
     }

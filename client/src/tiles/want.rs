@@ -99,8 +99,7 @@ impl Beside {
     }
 
     fn holds(&self, id: TileId) -> bool {
-        let [x, y] = id.origin();
-        let middle = Grid::new(id.zone).and_then(|grid| grid.unproject([x + TILE_M / 2.0, y + TILE_M / 2.0]));
+        let middle = Grid::new(id.zone).and_then(|grid| grid.unproject(id.centre()));
         middle.is_ok_and(|at| {
             self.latitudes.contains(&at.lat_deg)
                 && (at.lon_deg - self.west_deg).rem_euclid(360.0) <= self.width_deg

@@ -6,6 +6,7 @@ use super::alternatives::Alternatives;
 use super::ranking::Ranking;
 use super::refine::RefinedCandidate;
 use super::verdict::{Integrity, Protection, Verdict, verdict};
+use crate::point::MapPoint;
 use crate::pose::{Pose2, wrap_angle};
 
 /// The answer with its diagnostics.
@@ -73,7 +74,7 @@ impl Findings<'_> {
         let background = self.ranking.background(searched.0.max(1.0));
         let (matched_fraction, coverage) = self.agreement(&on_map, integrity);
         // The map's own offset here is taken back from the answer.
-        let off = question.view.mean_offset([on_map.x_m, on_map.y_m]);
+        let off = question.view.mean_offset(MapPoint::of(&on_map));
         let truer =
             |c: &Pose2| Pose2::new(c.x_m - off.x_m, c.y_m - off.y_m, wrap_angle(c.yaw_rad - off.yaw_rad));
         let mut alignment = Alignment {
@@ -84,7 +85,7 @@ impl Findings<'_> {
             score: rigid.score - background,
             contrast: rigid.score / background.max(f64::MIN_POSITIVE),
             margin: self.margin(integrity),
-            points_used: question.batch.points.iter().filter(|[x, y]| x * x + y * y <= reach_sq).count(),
+            points_used: question.batch.points.iter().filter(|p| p.squared_range() <= reach_sq).count(),
             thinned_points: question.thinned.len(),
             matched_fraction,
             coverage,
@@ -100,10 +101,10 @@ impl Findings<'_> {
     fn agreement(&self, pose: &Pose2, integrity: &Integrity) -> (f64, f64) {
         let view = self.ranking.question.view;
         let near = |d: f64| d <= integrity.matched_within_m;
-        let matched = |position: [f64; 2]| {
+        let matched = |position: MapPoint| {
             view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
         };
-        let covered = |position: [f64; 2]| view.tile_at(position).is_some();
+        let covered = |position: MapPoint| view.tile_at(position).is_some();
         (self.ranking.fraction(pose, matched), self.ranking.fraction(pose, covered))
     }
 

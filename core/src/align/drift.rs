@@ -7,6 +7,7 @@ use super::score::{ScoreField, Slope};
 use super::thin::Thinner;
 use super::{Prior, Search};
 use crate::batch::Batch;
+use crate::point::WeightedPoint;
 use crate::pose::{Pose2, wrap_angle};
 
 /// Seconds over which odometry is taken as rigid.
@@ -41,11 +42,11 @@ impl Default for DriftPrior {
 #[derive(Default)]
 pub struct DriftRefiner {
     /// Points relative to the body's position when it saw them, in the axes of the batch's frame.
-    points: Vec<[f32; 3]>,
+    points: Vec<WeightedPoint>,
     spans: Vec<RigidSpan>,
     duration_s: f64,
     thinner: Thinner,
-    thinned: Vec<[f32; 3]>,
+    thinned: Vec<WeightedPoint>,
 }
 
 /// The points of a span of time, too short for odometry to drift within it.
@@ -84,7 +85,8 @@ impl DriftRefiner {
         for span in &self.spans {
             let [bx, by] = span.body.map(|v| v as f32);
             for point in &mut self.points[from..span.end] {
-                *point = [point[0] - bx, point[1] - by, point[2]];
+                point.x_m -= bx;
+                point.y_m -= by;
             }
             from = span.end;
         }

@@ -26,6 +26,7 @@ use super::verdict::Integrity;
 use super::weights::TileWeights;
 use super::{Prior, Search};
 use crate::batch::Batch;
+use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
@@ -147,19 +148,19 @@ impl Localizability {
 #[derive(Default)]
 pub struct Assessor {
     pipeline: Pipeline,
-    expected: Vec<[f32; 3]>,
+    expected: Vec<WeightedPoint>,
 }
 
 impl Assessor {
-    /// What a fix at a position (map metres) can be expected to be, from the tiles that exist in a square
-    /// around it: it must hold the search's extent and [`REACH_M`] in every direction.
+    /// What a fix at a position can be expected to be, from the tiles that exist in a square around it: it
+    /// must hold the search's extent and [`REACH_M`] in every direction.
     ///
     /// The same tiles give the same answer, to the bit.
     pub fn assess(
         &mut self,
         square: MapSquare,
         tiles: &[Arc<TileWeights>],
-        position: [f64; 2],
+        position: MapPoint,
         search: &Search,
         integrity: &Integrity,
     ) -> Localizability {
@@ -170,7 +171,7 @@ impl Assessor {
         self.pipeline.assemble(square, tiles);
         self.pipeline.set_points(self.expected.iter().copied());
         let prior = Prior {
-            pose: Pose2::new(position[0], position[1], 0.0),
+            pose: Pose2::new(position.x_m, position.y_m, 0.0),
             sigma_position_m: REACH_M / search.sigmas,
             sigma_yaw_rad: REACH_RAD / search.sigmas,
             scale: 1.0,
@@ -197,30 +198,36 @@ impl Assessor {
     }
 }
 
-/// What a batch can be expected to hold: ground metres from the position, a vote each.
-fn expected_points(tiles: &[Arc<TileWeights>], position: [f64; 2], reach_m: f64, out: &mut Vec<[f32; 3]>) {
+/// What a batch can be expected to hold, of a body at the position that heads east; a vote each.
+fn expected_points(
+    tiles: &[Arc<TileWeights>],
+    position: MapPoint,
+    reach_m: f64,
+    out: &mut Vec<WeightedPoint>,
+) {
     out.clear();
     let seen = |hits: f32| 1.0 - (-SEEN_AGAIN * f64::from(hits)).exp();
     let mut near = Vec::new();
     for tile in tiles {
         let corner = tile.id.origin();
         for block in &*tile.blocks {
-            let at = [0, 1].map(|axis| corner[axis] + f64::from(block.at[axis]) - position[axis]);
-            if at[0].hypot(at[1]) <= reach_m {
-                near.push((at, seen(block.hits)));
+            let at = corner.moved(f64::from(block.east_m), f64::from(block.north_m));
+            let (east_m, north_m) = (at.x_m - position.x_m, at.y_m - position.y_m);
+            if east_m.hypot(north_m) <= reach_m {
+                near.push((east_m, north_m, seen(block.hits)));
             }
         }
     }
-    let all: f64 = near.iter().map(|(_, seen)| seen).sum();
+    let all: f64 = near.iter().map(|(_, _, seen)| seen).sum();
     let fraction = (MOST_POINTS / all).min(1.0);
     // Every so often one is due: as many as expected, spread evenly, and the same each time.
     let mut due = 0.5;
-    for (at, seen) in near {
+    for (east_m, north_m, seen) in near {
         due += fraction * seen;
         if due >= 1.0 {
             due -= 1.0;
             let [dx, dy] = scatter(out.len());
-            out.push([(at[0] + dx) as f32, (at[1] + dy) as f32, 1.0]);
+            out.push(WeightedPoint::new((east_m + dx) as f32, (north_m + dy) as f32, 1.0));
         }
     }
 }

@@ -19,6 +19,7 @@ use super::view::MapView;
 use super::weights::TileWeights;
 use super::{Prior, Search};
 use crate::batch::Batch;
+use crate::point::{BodyPoint, WeightedPoint};
 use crate::window::MapSquare;
 
 /// A candidate whose score is below this fraction of the highest one's is not refined: refining adds some
@@ -30,7 +31,7 @@ const REFINED_ABOVE: f64 = 0.9;
 pub struct Pipeline {
     view: MapView,
     thinner: Thinner,
-    points: Vec<[f32; 3]>,
+    points: Vec<WeightedPoint>,
     engine: EngineWorkspace,
     candidates: Vec<Candidate>,
     refined: Vec<RefinedCandidate>,
@@ -42,20 +43,20 @@ impl Pipeline {
         self.view.assemble(square, tiles);
     }
 
-    /// Thins points (ground metres in the body's frame) to one a block, those within reach.
-    pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f64) {
+    /// Thins points to one a block, those within reach.
+    pub fn thin(&mut self, points: &[BodyPoint], reach_m: f64) {
         self.thinner.thin(points, reach_m as f32, BLOCK_M, &mut self.points);
     }
 
-    /// Takes points that need no thinning, with the vote of each.
-    pub fn set_points(&mut self, points: impl IntoIterator<Item = [f32; 3]>) {
+    /// Takes points that need no thinning.
+    pub fn set_points(&mut self, points: impl IntoIterator<Item = WeightedPoint>) {
         self.points.clear();
         self.points.extend(points);
     }
 
     /// The thinned points.
     #[must_use]
-    pub fn points(&self) -> &[[f32; 3]] {
+    pub fn points(&self) -> &[WeightedPoint] {
         &self.points
     }
 

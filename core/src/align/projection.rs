@@ -4,6 +4,7 @@ use super::Prior;
 use super::simd::{Isa, Kernel};
 use super::view::ImageView;
 use crate::geo::CELL_M;
+use crate::point::BodyPoint;
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
@@ -40,26 +41,25 @@ impl<'a> Projection<'a> {
     /// Writes for each point the index of its pixel, under a correction of the prior, moved south-west by
     /// the lag along both axes: where the strips of its shifts begin.
     ///
-    /// Points are ground metres in the body's frame. Every engine counts those that are written and no
-    /// others.
+    /// Every engine counts those that are written and no others.
     pub fn pixel_indices(
         &self,
         isa: Isa,
         correction: Pose2,
-        points: impl Iterator<Item = [f32; 2]>,
+        points: impl Iterator<Item = BodyPoint>,
         out: &mut Vec<u32>,
     ) {
         let Self { square, cells, side, prior, reach_m, lag } = *self;
         let per_metre = 1.0 / (CELL_M * cells as f64);
-        let origin = square.to_metres([0.0, 0.0]);
+        let corner = square.corner();
         let (s, c) = (prior.pose.yaw_rad + correction.yaw_rad).sin_cos();
         let pixels = |metres: f64| (metres * per_metre) as f32;
         out.clear();
         isa.run(PixelIndices {
             points,
             body: [
-                pixels(prior.pose.x_m + correction.x_m - origin[0]),
-                pixels(prior.pose.y_m + correction.y_m - origin[1]),
+                pixels(prior.pose.x_m + correction.x_m - corner.x_m),
+                pixels(prior.pose.y_m + correction.y_m - corner.y_m),
             ],
             turn: [pixels(c * prior.scale), pixels(s * prior.scale)],
             reach_sq: (reach_m * reach_m) as f32,
@@ -87,7 +87,7 @@ struct PixelIndices<'a, P> {
     out: &'a mut Vec<u32>,
 }
 
-impl<P: Iterator<Item = [f32; 2]>> Kernel for PixelIndices<'_, P> {
+impl<P: Iterator<Item = BodyPoint>> Kernel for PixelIndices<'_, P> {
     type Out = ();
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
@@ -98,8 +98,8 @@ impl<P: Iterator<Item = [f32; 2]>> Kernel for PixelIndices<'_, P> {
         loop {
             // Side by side, so that all but the first and the last loop is vectorised.
             let (mut px, mut py, mut count) = ([0.0_f32; LANES], [0.0_f32; LANES], 0);
-            for ([x, y], point) in px.iter_mut().zip(&mut py).map(|(x, y)| [x, y]).zip(self.points.by_ref()) {
-                [*x, *y] = point;
+            for ((x, y), point) in px.iter_mut().zip(&mut py).zip(self.points.by_ref()) {
+                (*x, *y) = (point.x_m, point.y_m);
                 count += 1;
             }
             let (mut index, mut inside) = ([0_u32; LANES], [false; LANES]);

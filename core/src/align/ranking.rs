@@ -3,6 +3,7 @@
 use super::engine::SearchQuestion;
 use super::refine::RefinedCandidate;
 use super::score::ScoreField;
+use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
 
 /// Points that fractions and backgrounds are counted on: of 256 a fraction has a standard error of 3 %.
@@ -42,16 +43,16 @@ impl Ranking<'_> {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// The fraction of the points that pass a test of their map metres, seen by a body at a pose; 0 without
-    /// points.
-    pub fn fraction(&self, pose: &Pose2, passes: impl Fn([f64; 2]) -> bool) -> f64 {
+    /// The fraction of the points that pass a test of where they lie on the map, seen by a body at a pose; 0
+    /// without points.
+    pub fn fraction(&self, pose: &Pose2, passes: impl Fn(MapPoint) -> bool) -> f64 {
         let scale = self.question.prior.scale;
-        let on_map = |[x, y, _]: &[f32; 3]| pose.transform([f64::from(*x) * scale, f64::from(*y) * scale]);
+        let on_map = |point: &WeightedPoint| pose.to_map(point.position(), scale);
         let passed = self.sample().filter(|point| passes(on_map(point))).count();
         if passed > 0 { passed as f64 / self.sample().len() as f64 } else { 0.0 }
     }
 
-    fn sample(&self) -> impl ExactSizeIterator<Item = &[f32; 3]> {
+    fn sample(&self) -> impl ExactSizeIterator<Item = &WeightedPoint> {
         let points = self.question.thinned;
         points.iter().step_by(points.len() / SAMPLE + 1)
     }

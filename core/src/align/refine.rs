@@ -5,6 +5,7 @@ use nalgebra::Matrix3;
 use super::Prior;
 use super::engine::Candidate;
 use super::score::{ScoreField, Slope};
+use crate::point::WeightedPoint;
 use crate::pose::{Pose2, wrap_angle};
 
 /// Lengths that one step may have at most: metres, metres, radians.
@@ -42,7 +43,12 @@ impl RefinedCandidate {
 
     /// The candidate where the engine found it, with its smooth score and without information.
     #[must_use]
-    pub fn unrefined(field: &ScoreField, points: &[[f32; 3]], prior: &Prior, candidate: &Candidate) -> Self {
+    pub fn unrefined(
+        field: &ScoreField,
+        points: &[WeightedPoint],
+        prior: &Prior,
+        candidate: &Candidate,
+    ) -> Self {
         let pose = prior.corrected(&candidate.correction);
         let score = field.slope(points, &pose, prior.scale).value / points.len().max(1) as f64;
         let Candidate { correction, at_edge, .. } = *candidate;
@@ -60,17 +66,16 @@ impl RefinedCandidate {
     }
 }
 
-/// Refines a candidate with rigid points, ground metres in the body's frame: most of the way with a part of
-/// them, for that takes less time.
+/// Refines a candidate with rigid points: most of the way with a part of them, for that takes less time.
 #[must_use]
 pub fn refine(
     field: &ScoreField,
-    points: &[[f32; 3]],
+    points: &[WeightedPoint],
     prior: &Prior,
     candidate: &Candidate,
 ) -> RefinedCandidate {
     let start = [candidate.correction.x_m, candidate.correction.y_m, candidate.correction.yaw_rad];
-    let mut some = [[0.0_f32; 3]; GUIDES];
+    let mut some = [WeightedPoint::new(0.0, 0.0, 0.0); GUIDES];
     let count = points.len().min(GUIDES);
     for (i, guide) in some[..count].iter_mut().enumerate() {
         *guide = points[i * points.len() / count];
@@ -85,7 +90,7 @@ pub fn refine(
     }
 }
 
-fn ascend(field: &ScoreField, points: &[[f32; 3]], prior: &Prior, from: [f64; 3]) -> ([f64; 3], Slope) {
+fn ascend(field: &ScoreField, points: &[WeightedPoint], prior: &Prior, from: [f64; 3]) -> ([f64; 3], Slope) {
     let slope_at =
         |[x, y, yaw]: [f64; 3]| field.slope(points, &prior.corrected(&Pose2::new(x, y, yaw)), prior.scale);
     let (mut at, mut here) = (from, slope_at(from));

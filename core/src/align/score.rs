@@ -7,6 +7,7 @@ use super::simd::{Isa, Kernel};
 use super::view::MapView;
 use super::weights::STEPS;
 use crate::geo::CELL_M;
+use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
 
 /// A score and its derivatives over (east m, north m, yaw rad).
@@ -25,8 +26,8 @@ pub struct Slope {
 pub struct ScoreField<'a> {
     weights: &'a [u8],
     side: usize,
-    /// Map metres of the image's south-west corner.
-    origin: [f64; 2],
+    /// The image's south-west corner.
+    corner: MapPoint,
     /// A weight w counts as `w * (curve[0] + curve[1] * w)`.
     curve: [f32; 2],
 }
@@ -36,12 +37,7 @@ impl<'a> ScoreField<'a> {
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
         let square = view.square();
-        Self {
-            weights: view.fine().weights,
-            side: square.side,
-            origin: square.to_metres([0.0, 0.0]),
-            curve: [1.0, 0.0],
-        }
+        Self { weights: view.fine().weights, side: square.side, corner: square.corner(), curve: [1.0, 0.0] }
     }
 
     /// The same map with its weights squared: clutter then counts for little. For the last centimetres.
@@ -50,14 +46,13 @@ impl<'a> ScoreField<'a> {
         Self { curve: [0.0, SHARPNESS / STEPS], ..*self }
     }
 
-    /// Scores points (ground metres in a body's frame, and what each counts for) seen by a body at `pose` (map metres); `scale`
-    /// is the map's metres per ground metre.
+    /// Scores points seen by a body at `pose` (map metres); `scale` is the map's metres per ground metre.
     #[must_use]
-    pub fn slope(&self, points: &[[f32; 3]], pose: &Pose2, scale: f64) -> Slope {
+    pub fn slope(&self, points: &[WeightedPoint], pose: &Pose2, scale: f64) -> Slope {
         let per_metre = 1.0 / CELL_M;
         // Centres of cells are at half.
-        let x0 = ((pose.x_m - self.origin[0]) * per_metre - 0.5) as f32;
-        let y0 = ((pose.y_m - self.origin[1]) * per_metre - 0.5) as f32;
+        let x0 = ((pose.x_m - self.corner.x_m) * per_metre - 0.5) as f32;
+        let y0 = ((pose.y_m - self.corner.y_m) * per_metre - 0.5) as f32;
         let (s, c) = pose.yaw_rad.sin_cos();
         let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
         let sums = Isa::best().run(Sums { field: self, points, from: [x0, y0], turn: [s, c] });
@@ -81,13 +76,13 @@ impl<'a> ScoreField<'a> {
     /// The 3 x 3 weights around each point of a block; 0 at the image's border and beyond.
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
-    fn patches(&self, points: &[[f32; 3]], [x0, y0]: [f32; 2], [s, c]: [f32; 2]) -> Patches {
+    fn patches(&self, points: &[WeightedPoint], [x0, y0]: [f32; 2], [s, c]: [f32; 2]) -> Patches {
         let mut p = Patches::default();
         let limit = (self.side - 2) as f32;
         let mut index = [0_u32; LANES];
         let mut local = [[0.0_f32; LANES]; 3];
-        for (i, [px, py, weight]) in points.iter().enumerate() {
-            (local[0][i], local[1][i], local[2][i]) = (*px, *py, *weight);
+        for (i, point) in points.iter().enumerate() {
+            (local[0][i], local[1][i], local[2][i]) = (point.x_m, point.y_m, point.vote);
         }
         for i in 0..LANES {
             let (rx, ry) = (c * local[0][i] - s * local[1][i], s * local[0][i] + c * local[1][i]);
@@ -113,15 +108,20 @@ impl<'a> ScoreField<'a> {
 
     /// Only the score, each point at its nearest cell: for comparing far poses.
     #[must_use]
-    pub fn value<'p>(&self, points: impl IntoIterator<Item = &'p [f32; 3]>, pose: &Pose2, scale: f64) -> f64 {
+    pub fn value<'p>(
+        &self,
+        points: impl IntoIterator<Item = &'p WeightedPoint>,
+        pose: &Pose2,
+        scale: f64,
+    ) -> f64 {
         let per_metre = 1.0 / CELL_M;
-        let x0 = ((pose.x_m - self.origin[0]) * per_metre) as f32;
-        let y0 = ((pose.y_m - self.origin[1]) * per_metre) as f32;
+        let x0 = ((pose.x_m - self.corner.x_m) * per_metre) as f32;
+        let y0 = ((pose.y_m - self.corner.y_m) * per_metre) as f32;
         let (s, c) = pose.yaw_rad.sin_cos();
         let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
         let inside = 0.0..self.side as f32;
         let mut sum = 0_u32;
-        for [px, py, _] in points {
+        for WeightedPoint { x_m: px, y_m: py, .. } in points {
             let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
             if inside.contains(&x) && inside.contains(&y) {
                 sum += u32::from(self.weights[y as usize * self.side + x as usize]);
@@ -134,7 +134,7 @@ impl<'a> ScoreField<'a> {
 /// Points to be summed up: the position of the body, cells, and sine and cosine times cells a metre.
 struct Sums<'a> {
     field: &'a ScoreField<'a>,
-    points: &'a [[f32; 3]],
+    points: &'a [WeightedPoint],
     from: [f32; 2],
     turn: [f32; 2],
 }
@@ -224,12 +224,13 @@ mod tests {
     fn every_instruction_set_gives_the_same_bits() {
         const SIDE: usize = 96;
         let image: Vec<u8> = (0..SIDE * SIDE + 64).map(|i| (i * i * 31 + i * 7) as u8).collect();
-        let field = ScoreField { weights: &image, side: SIDE, origin: [0.0; 2], curve: [0.3, 0.004] };
+        let field =
+            ScoreField { weights: &image, side: SIDE, corner: MapPoint::default(), curve: [0.3, 0.004] };
         let spread = |i: usize, step: f32| (i as f32 * step).fract() * 11.0 - 5.5;
         for count in [0, 1, 15, 16, 17, 700] {
             // Some of them beyond the border.
-            let points: Vec<_> =
-                (0..count).map(|i| [spread(i, 0.618), spread(i, 0.317), 1.0 / (1 + i % 3) as f32]).collect();
+            let point = |i| WeightedPoint::new(spread(i, 0.618), spread(i, 0.317), 1.0 / (1 + i % 3) as f32);
+            let points: Vec<_> = (0..count).map(point).collect();
             let sums = || Sums { field: &field, points: &points, from: [47.3, 48.1], turn: [3.1, 9.5] };
             let bits = |isa: Isa| isa.run(sums()).map(f32::to_bits);
             let plain = bits(Isa::PLAIN);

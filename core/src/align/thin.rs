@@ -1,6 +1,8 @@
 //! A batch, thinned: one point for each block that holds any. Ten returns from one lamp post in one
 //! batch are not independent.
 
+use crate::point::{BodyPoint, WeightedPoint};
+
 /// Side of the blocks that the service thins to, metres.
 pub const BLOCK_M: f32 = 0.4;
 
@@ -12,18 +14,21 @@ pub struct Thinner {
     blocks: Vec<u32>,
     /// The highest number that earlier passes wrote.
     before: u32,
+    /// For each block that holds any point their sum, and their number.
     sums: Vec<[f32; 3]>,
 }
 
 impl Thinner {
-    /// Writes the means of the points in blocks of `block_m` into `out`: ground metres in the
-    /// body's frame, and 1, the vote of each. Points farther than `reach_m` are left out.
-    pub fn thin(&mut self, points: &[[f32; 2]], reach_m: f32, block_m: f32, out: &mut Vec<[f32; 3]>) {
+    /// Writes the means of the points in blocks of `block_m` into `out`, each with a vote of 1. Points
+    /// farther than `reach_m` are left out.
+    pub fn thin(&mut self, points: &[BodyPoint], reach_m: f32, block_m: f32, out: &mut Vec<WeightedPoint>) {
         let (grid, before) = self.begin(reach_m, block_m, points.len());
         self.sums.clear();
         self.sums.resize(points.len(), [0.0; 3]);
         let mut len = 0;
-        for &[x, y] in points.iter().filter(|[x, y]| x * x + y * y <= reach_m * reach_m) {
+        for &BodyPoint { x_m: x, y_m: y } in
+            points.iter().filter(|point| point.squared_range() <= reach_m * reach_m)
+        {
             let block = &mut self.blocks[grid.block(x, y)];
             // Whether a block has points already cannot be predicted: no branch depends on it.
             let first = *block <= before;
@@ -34,18 +39,18 @@ impl Thinner {
         }
         self.before += len;
         out.clear();
-        out.extend(self.sums[..len as usize].iter().map(|[x, y, n]| [x / n, y / n, 1.0]));
+        out.extend(self.sums[..len as usize].iter().map(|[x, y, n]| WeightedPoint::new(x / n, y / n, 1.0)));
     }
 
     /// Divides the vote of each block among the points in it. All must lie within `reach_m`.
-    pub fn share_votes(&mut self, points: &mut [[f32; 3]], reach_m: f32, block_m: f32) {
+    pub fn share_votes(&mut self, points: &mut [WeightedPoint], reach_m: f32, block_m: f32) {
         let (grid, before) = self.begin(reach_m, block_m, points.len());
-        for [x, y, _] in points.iter() {
-            let block = &mut self.blocks[grid.block(*x, *y)];
+        for point in points.iter() {
+            let block = &mut self.blocks[grid.block(point.x_m, point.y_m)];
             *block = before.max(*block) + 1;
         }
-        for [x, y, vote] in points.iter_mut() {
-            *vote = 1.0 / (self.blocks[grid.block(*x, *y)] - before) as f32;
+        for point in points.iter_mut() {
+            point.vote = 1.0 / (self.blocks[grid.block(point.x_m, point.y_m)] - before) as f32;
         }
         self.before += points.len() as u32;
     }
@@ -95,12 +100,12 @@ mod tests {
     proptest! {
         #[test]
         fn every_point_in_reach_has_a_mean_nearby(points in prop::collection::vec((-60.0..60.0_f32, -60.0..60.0_f32), 0..200)) {
-            let points: Vec<[f32; 2]> = points.into_iter().map(|(x, y)| [x, y]).collect();
+            let points: Vec<_> = points.into_iter().map(|(x, y)| BodyPoint::new(x, y)).collect();
             let mut out = Vec::new();
             Thinner::default().thin(&points, 50.0, 0.4, &mut out);
-            let inside = points.iter().filter(|[x, y]| x.hypot(*y) <= 50.0);
+            let inside = points.iter().filter(|p| p.x_m.hypot(p.y_m) <= 50.0);
             for p in inside.clone() {
-                prop_assert!(out.iter().any(|q| (p[0] - q[0]).abs() <= 0.401 && (p[1] - q[1]).abs() <= 0.401));
+                prop_assert!(out.iter().any(|q| (p.x_m - q.x_m).abs() <= 0.401 && (p.y_m - q.y_m).abs() <= 0.401));
             }
             prop_assert!(out.len() <= inside.count());
         }
@@ -109,14 +114,14 @@ mod tests {
     /// Catches numbers of an earlier pass that are taken for this one's.
     #[test]
     fn passes_do_not_disturb_each_other() {
-        let points: Vec<[f32; 2]> =
-            (0..500).map(|i| [(i * 7 % 90) as f32 * 0.1, (i % 60) as f32 * 0.1]).collect();
+        let points: Vec<_> =
+            (0..500).map(|i| BodyPoint::new((i * 7 % 90) as f32 * 0.1, (i % 60) as f32 * 0.1)).collect();
         let thinned = |thinner: &mut Thinner, reach_m, block_m| {
             let mut out = Vec::new();
             thinner.thin(&points, reach_m, block_m, &mut out);
-            let mut shared: Vec<_> = points.iter().map(|[x, y]| [*x, *y, 1.0]).collect();
+            let mut shared: Vec<_> = points.iter().map(|p| WeightedPoint::new(p.x_m, p.y_m, 1.0)).collect();
             thinner.share_votes(&mut shared, 50.0, block_m);
-            let votes: f32 = shared.iter().map(|[_, _, vote]| vote).sum();
+            let votes: f32 = shared.iter().map(|point| point.vote).sum();
             (out, votes.round() as usize)
         };
         let mut used = Thinner { before: u32::MAX - 1700, ..Thinner::default() };

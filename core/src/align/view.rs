@@ -4,9 +4,10 @@
 
 use std::sync::Arc;
 
-use super::weights::{COARSE, TileWeights, mean_passes};
+use super::weights::{COARSE, PassSums, TileWeights};
 use crate::datum::mean_offset;
 use crate::geo::{CELLS_PER_TILE, TileId};
+use crate::point::MapPoint;
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
@@ -111,16 +112,16 @@ impl MapView {
         ImageView { square, cells: COARSE, side: square.side / COARSE, weights: &self.coarse }
     }
 
-    /// The tile at a position (map metres), if the map has it.
+    /// The tile at a position, if the map has it.
     #[must_use]
-    pub fn tile_at(&self, position: [f64; 2]) -> Option<&TileWeights> {
+    pub fn tile_at(&self, position: MapPoint) -> Option<&TileWeights> {
         let id = TileId::of(self.square().zone, position);
         self.window().tiles.iter().find(|tile| tile.id == id).map(|tile| &**tile)
     }
 
-    /// The map's own offset at a position (map metres), by the tiles' data: metres east and north, radians.
+    /// The map's own offset at a position, by the tiles' data: metres east and north, radians.
     #[must_use]
-    pub fn mean_offset(&self, position: [f64; 2]) -> Pose2 {
+    pub fn mean_offset(&self, position: MapPoint) -> Pose2 {
         let tiles = &self.window().tiles;
         mean_offset(self.square().zone, position, |id| {
             tiles.iter().find(|tile| tile.id == id).map(|tile| tile.datum).unwrap_or_default()
@@ -133,13 +134,13 @@ impl MapView {
     #[must_use]
     pub fn typical_passes(&self) -> f64 {
         let tiles = &self.window().tiles;
-        let sum = |[a, b]: [f64; 2], tile: &Arc<TileWeights>| [a + tile.passes[0], b + tile.passes[1]];
-        let typical = mean_passes(tiles.iter().fold([0.0; 2], sum));
+        let sum = |sums: PassSums, tile: &Arc<TileWeights>| sums.plus(&tile.passes);
+        let typical = tiles.iter().fold(PassSums::default(), sum).mean();
         let (mut weight, mut variance) = (0.0, 0.0);
         for tile in tiles {
             let passes =
-                if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { mean_passes(tile.passes) };
-            let hits_of_a_pass = tile.passes[1] / passes;
+                if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { tile.passes.mean() };
+            let hits_of_a_pass = tile.passes.hits / passes;
             weight += hits_of_a_pass;
             variance += hits_of_a_pass / passes;
         }
@@ -180,7 +181,7 @@ mod tests {
     #[test]
     fn every_cell_has_its_tiles_weight() {
         let zone = Zone::from_epsg(32614).unwrap();
-        let position = [600_010.0, 3_300_020.0];
+        let position = MapPoint::new(600_010.0, 3_300_020.0);
         let id = TileId::of(zone, position);
         let cell = |i| Cell { hits: 1 + i % 7, passes: 2, presence: ALWAYS, ..Cell::default() };
         let cells = (0..2000).map(|i| (i * 131, cell(i)));
@@ -202,15 +203,16 @@ mod tests {
         }
         let total: u64 = view.fine().weights.iter().map(|v| u64::from(*v)).sum();
         assert!(total > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
-        let [x, y] = square.to_metres([0.0, 0.0]);
-        assert!(view.tile_at([x - CELL_M, y]).is_none() && view.tile_at(position).is_some());
+        assert!(
+            view.tile_at(square.corner().moved(-CELL_M, 0.0)).is_none() && view.tile_at(position).is_some()
+        );
     }
 
     /// Catches: a map's error computed from the avenue where the batch is aligned by the lane's fronts.
     #[test]
     fn a_busy_street_does_not_count_for_the_lane_beside_it() {
         let zone = Zone::from_epsg(32614).unwrap();
-        let position = [600_010.0, 3_300_020.0];
+        let position = MapPoint::new(600_010.0, 3_300_020.0);
         let driven = |x, passes| {
             let id = TileId { x, ..TileId::of(zone, position) };
             let cell = Cell { hits: 2 * passes, passes, presence: ALWAYS, ..Cell::default() };

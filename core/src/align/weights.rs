@@ -23,10 +23,42 @@ const SIDE: usize = CELLS_PER_TILE;
 /// A block of [`COARSE`] x [`COARSE`] cells with any hits: a possible source of one vote of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OccupiedBlock {
-    /// Mean position of its hits, metres from the tile's south-west corner.
-    pub at: [f32; 2],
+    /// Mean position of its hits, metres east of the tile's south-west corner.
+    pub east_m: f32,
+    /// The same, metres north of it.
+    pub north_m: f32,
     /// Its hits in one of the passes that saw it.
     pub hits: f32,
+}
+
+/// Hits, and the passes over their cells: how often a map was driven.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PassSums {
+    /// Hits weighted by the passes of their cells.
+    pub weighted: f64,
+    /// Hits.
+    pub hits: f64,
+}
+
+impl PassSums {
+    fn of<'a>(cells: impl Iterator<Item = &'a Cell>) -> Self {
+        cells.fold(Self::default(), |sums, cell| {
+            let hits = f64::from(cell.hits);
+            sums.plus(&Self { weighted: hits * f64::from(cell.passes), hits })
+        })
+    }
+
+    /// The sums of both.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self { weighted: self.weighted + other.weighted, hits: self.hits + other.hits }
+    }
+
+    /// Passes over the cell of a typical hit, 1 without hits: how many surveys a map amounts to.
+    #[must_use]
+    pub fn mean(&self) -> f64 {
+        if self.hits > 0.0 { self.weighted / self.hits } else { 1.0 }
+    }
 }
 
 /// One tile, ready to be aligned against; made of its hits and those just beyond its borders.
@@ -47,8 +79,8 @@ pub struct TileWeights {
     pub newest_day: u16,
     /// What its contributions were moved by.
     pub datum: Datum,
-    /// Hits weighted by the passes of their cells, and hits, of the tile itself.
-    pub passes: [f64; 2],
+    /// How often the cells of the tile itself were passed over.
+    pub passes: PassSums,
 }
 
 impl TileWeights {
@@ -59,9 +91,9 @@ impl TileWeights {
         let own = tile_at(id).unwrap_or(&empty);
         let masses = around(id, &tile_at);
         let fine = smoothing::weights(&masses);
-        let [x0, y0] = id.origin();
+        let corner = id.origin();
         let points = MapPointIndex::new(
-            masses.iter().map(|CellMass { at: [x, y], .. }| [x0 + x * CELL_M, y0 + y * CELL_M]),
+            masses.iter().map(|CellMass { at: [x, y], .. }| corner.moved(x * CELL_M, y * CELL_M)),
         );
         Self {
             id,
@@ -72,7 +104,7 @@ impl TileWeights {
             cells: own.len(),
             newest_day: own.newest_day(),
             datum: own.datum(),
-            passes: typical_passes(own.cells().iter().map(|(_, cell)| cell)),
+            passes: PassSums::of(own.cells().iter().map(|(_, cell)| cell)),
         }
     }
 
@@ -142,22 +174,12 @@ fn blocks(tile: &Tile) -> Box<[OccupiedBlock]> {
     let occupied = sums.into_iter().filter(|[_, _, hits, _]| *hits > 0.0);
     let mean = |sum: f32, hits: f32| sum / hits * CELL_M as f32;
     occupied
-        .map(|[x, y, hits, of_a_pass]| OccupiedBlock { at: [mean(x, hits), mean(y, hits)], hits: of_a_pass })
+        .map(|[x, y, hits, of_a_pass]| OccupiedBlock {
+            east_m: mean(x, hits),
+            north_m: mean(y, hits),
+            hits: of_a_pass,
+        })
         .collect()
-}
-
-/// Hits weighted by the passes of their cells, and hits.
-fn typical_passes<'a>(cells: impl Iterator<Item = &'a Cell>) -> [f64; 2] {
-    cells.fold([0.0; 2], |[weighted, hits], cell| {
-        let here = f64::from(cell.hits);
-        [weighted + here * f64::from(cell.passes), hits + here]
-    })
-}
-
-/// Passes over the cell of a typical hit, 1 without hits: how many surveys a map amounts to.
-#[must_use]
-pub fn mean_passes([weighted, hits]: [f64; 2]) -> f64 {
-    if hits > 0.0 { weighted / hits } else { 1.0 }
 }
 
 /// Means of [`COARSE`] x [`COARSE`] cells, rounded up so that a trace of structure is not lost.

@@ -1,6 +1,7 @@
 //! By how much vetting moved the passes over a tile; the mean is the map's own offset.
 
 use crate::geo::{TILE_M, TileId, Zone};
+use crate::point::MapPoint;
 use crate::pose::{Pose2, weighted_mean};
 
 /// The sum of the offsets by which vetting moved passes over a tile, at its centre. Sums are of integers:
@@ -87,13 +88,13 @@ impl Datum {
     }
 }
 
-/// The mean offset at a position (map metres), interpolated between the centres of the four tiles around it;
-/// tiles without a datum are left out. Zero where there is none at all.
+/// The mean offset at a position, interpolated between the centres of the four tiles around it; tiles without
+/// a datum are left out. Zero where there is none at all.
 ///
 /// What lies at `position` on the map is really at `position` less this.
 #[must_use]
-pub fn mean_offset(zone: Zone, position: [f64; 2], datum: impl Fn(TileId) -> Datum) -> Pose2 {
-    let [u, v] = position.map(|c| c / TILE_M - 0.5);
+pub fn mean_offset(zone: Zone, position: MapPoint, datum: impl Fn(TileId) -> Datum) -> Pose2 {
+    let [u, v] = [position.x_m, position.y_m].map(|c| c / TILE_M - 0.5);
     let (column, row) = (u.floor(), v.floor());
     let (fx, fy) = (u - column, v - row);
     let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(|(dx, dy)| {
@@ -160,7 +161,7 @@ mod tests {
             let tiles: BTreeMap<(i32, i32), Datum> =
                 (0..25).map(|i| ((i / 5, i % 5), summed(&offsets[i as usize..=i as usize]))).collect();
             let datum = |at: TileId| tiles.get(&(at.y - 100, at.x - 200)).copied().unwrap_or_default();
-            let position = |x: f64, y: f64| [(200.0 + x) * TILE_M, (100.0 + y) * TILE_M];
+            let position = |x: f64, y: f64| MapPoint::new((200.0 + x) * TILE_M, (100.0 + y) * TILE_M);
             let at = |x, y| mean_offset(id().zone, position(x, y), datum);
             let (a, b) = (at(x, y), at(x + 1e-4, y + 1e-4));
             prop_assert!(a.distance_m(&b) < 1e-3, "{:?} {:?}", a, b);
@@ -174,9 +175,14 @@ mod tests {
     fn tiles_without_a_datum_are_left_out() {
         let mut datum = Datum::default();
         datum.add(Offset { east_mm: 100, north_mm: 0, yaw_urad: 0 });
-        let [x, y] = id().origin();
-        let at =
-            |x, y| mean_offset(id().zone, [x, y], |at| if at == id() { datum } else { Datum::default() });
+        let MapPoint { x_m: x, y_m: y } = id().origin();
+        let at = |x, y| {
+            mean_offset(
+                id().zone,
+                MapPoint::new(x, y),
+                |at| if at == id() { datum } else { Datum::default() },
+            )
+        };
         assert!((at(x + 40.0, y + 40.0).x_m - 0.1).abs() < 1e-9);
         assert_eq!(at(x + 500.0, y), Pose2::IDENTITY);
         assert_eq!(Datum::default().mean(), None);

@@ -7,6 +7,7 @@ use super::{CellHits, EvidenceDelta, OFFSET_STEPS, SENT_STEPS, TileEvidence};
 use crate::gate::{self, Dropped, Gate};
 use crate::geo::{CELL_M, CellIndex, TileId, Zone};
 use crate::odometry::Trajectory;
+use crate::point::MapPoint;
 use crate::scan::{Mount, Scan};
 
 /// Accumulates the evidence of an upload, part by part: into how many parts a drive is split, and in
@@ -50,14 +51,14 @@ impl EvidenceAccumulator {
         let mut counted = 0;
         let dropped = gate::for_each_gated_scan(scans, mounts, poses, gate, |scan| {
             let sensor = scan.sensor(scale);
-            scan.points_in_frame(scale).for_each(|point| self.hit(zone, point));
-            self.views.see(zone, [sensor.x_m, sensor.y_m], scan.points_in_frame(scale));
+            scan.points_on_map(scale).for_each(|point| self.hit(zone, point));
+            self.views.see(zone, MapPoint::of(&sensor), scan.points_on_map(scale));
             counted += scan.points.len() as u64;
         })?;
         Ok((counted, dropped))
     }
 
-    fn hit(&mut self, zone: Zone, point: [f64; 2]) {
+    fn hit(&mut self, zone: Zone, point: MapPoint) {
         let cell = CellIndex::of(point);
         let (tile, index) = TileId::locate(zone, cell);
         let steps = self.steps;
@@ -72,8 +73,8 @@ impl EvidenceAccumulator {
             offset_sum: [0, 0],
         });
         entry.hits += 1;
-        entry.offset_sum[0] += offset(point[0], cell.x);
-        entry.offset_sum[1] += offset(point[1], cell.y);
+        entry.offset_sum[0] += offset(point.x_m, cell.x);
+        entry.offset_sum[1] += offset(point.y_m, cell.y);
     }
 
     /// Tiles in which something was hit so far.
@@ -126,11 +127,11 @@ mod tests {
             x in 600_000.0..600_200.0_f64, y in 3_300_000.0..3_300_200.0_f64, steps in 1..=OFFSET_STEPS,
         ) {
             let mut accumulator = EvidenceAccumulator::with_steps(steps);
-            accumulator.hit(zone(), [x, y]);
+            accumulator.hit(zone(), MapPoint::new(x, y));
             let contribution = accumulator.finish(1);
             let (id, evidence) = contribution.tiles.first_key_value().unwrap();
             let hit = evidence.cells[0];
-            let ([x0, y0], [fx, fy]) = (id.origin(), hit.centroid());
+            let (MapPoint { x_m: x0, y_m: y0 }, [fx, fy]) = (id.origin(), hit.centroid());
             let (cx, cy) = (hit.index % 512, hit.index / 512);
             let near_m = CELL_M * (0.5 / f64::from(steps) + 1.0 / f64::from(OFFSET_STEPS)) + 1e-6;
             prop_assert!((x0 + (f64::from(cx) + fx) * CELL_M - x).abs() < near_m);
@@ -178,7 +179,7 @@ mod tests {
         let (id, evidence) = contribution.tiles.first_key_value().unwrap();
         assert_eq!((evidence.cells.len(), evidence.cells[0].hits, evidence.detections()), (1, 2, 2));
         // 600001 + 40 * 0.9996 = 600040.984
-        let x = id.origin()[0] + f64::from(evidence.cells[0].index % 512) * CELL_M;
+        let x = id.origin().x_m + f64::from(evidence.cells[0].index % 512) * CELL_M;
         assert!((x - 600_040.9).abs() < 1e-6, "{x}");
     }
 
@@ -192,16 +193,16 @@ mod tests {
         };
         let scans: Vec<Scan> = (0..100).map(scan).collect();
         let (contribution, _) = contribute(&scans, 1.0);
-        let in_view = |point: [f64; 2]| {
-            let (id, index) = TileId::locate(zone(), CellIndex::of(point));
+        let in_view = |x_m: f64, y_m: f64| {
+            let (id, index) = TileId::locate(zone(), CellIndex::of(MapPoint::new(x_m, y_m)));
             contribution.tiles.get(&id).is_some_and(|s| s.observed.contains(view_block(index)))
         };
         let block_m = VIEW_BLOCK_CELLS as f64 * CELL_M;
         for x in (20..80).map(|x| 600_000.0 + f64::from(x)) {
-            assert!(in_view([x, 3_300_012.0]), "{x}");
-            assert!(in_view([x, 3_300_020.0]), "{x}");
-            assert!(!in_view([x, 3_300_020.0 + 2.0 * block_m]), "{x}");
-            assert!(!in_view([x, 3_300_000.0 - 2.0 * block_m]), "{x}");
+            assert!(in_view(x, 3_300_012.0), "{x}");
+            assert!(in_view(x, 3_300_020.0), "{x}");
+            assert!(!in_view(x, 3_300_020.0 + 2.0 * block_m), "{x}");
+            assert!(!in_view(x, 3_300_000.0 - 2.0 * block_m), "{x}");
         }
     }
 }

@@ -13,6 +13,7 @@ use std::f64::consts::TAU;
 
 use super::blocks::{VIEW_BLOCK_CELLS, VIEW_BLOCK_M, VIEW_BLOCKS, VIEW_BLOCKS_PER_SIDE, ViewBlocks};
 use crate::geo::{CellIndex, TileId, Zone};
+use crate::point::MapPoint;
 
 /// Sectors of azimuth: 3 degrees each.
 const SECTORS: usize = 120;
@@ -31,14 +32,14 @@ struct BlockIndex {
 }
 
 impl BlockIndex {
-    fn of(zone: Zone, point: [f64; 2]) -> Self {
+    fn of(zone: Zone, point: MapPoint) -> Self {
         let cell = CellIndex::of(point);
         let side = VIEW_BLOCK_CELLS as i64;
         Self { zone, x: cell.x.div_euclid(side), y: cell.y.div_euclid(side) }
     }
 
-    fn middle(self) -> [f64; 2] {
-        [self.x, self.y].map(|v| (v as f64 + 0.5) * VIEW_BLOCK_M)
+    fn middle(self) -> MapPoint {
+        [self.x, self.y].map(|v| (v as f64 + 0.5) * VIEW_BLOCK_M).into()
     }
 
     /// The tile that holds it, and its number there.
@@ -60,13 +61,13 @@ pub(super) struct Views {
 type Crossed = BTreeMap<TileId, Box<[u8; VIEW_BLOCKS]>>;
 
 impl Views {
-    /// Adds the returns of one radar, map metres, which is at `radar`.
-    pub(super) fn see(&mut self, zone: Zone, radar: [f64; 2], returns: impl Iterator<Item = [f64; 2]>) {
+    /// Adds the returns of one radar, which is at `radar`.
+    pub(super) fn see(&mut self, zone: Zone, radar: MapPoint, returns: impl Iterator<Item = MapPoint>) {
         let block = BlockIndex::of(zone, radar);
-        let [x0, y0] = block.middle();
+        let middle = block.middle();
         let farthest_m = self.farthest_m.entry(block).or_insert_with(|| Box::new([0.0; SECTORS]));
-        for [x, y] in returns {
-            let (east, north) = (x - x0, y - y0);
+        for point in returns {
+            let (east, north) = (point.x_m - middle.x_m, point.y_m - middle.y_m);
             let turn = (north.atan2(east) / TAU).rem_euclid(1.0);
             let sector = &mut farthest_m[((turn * SECTORS as f64) as usize).min(SECTORS - 1)];
             *sector = sector.max(east.hypot(north) as f32);
@@ -94,14 +95,14 @@ fn follow(
     known: &impl Fn(&TileId) -> bool,
     crossed: &mut Crossed,
 ) {
-    let [x0, y0] = from.middle();
+    let middle = from.middle();
     let (sin, cos) = ((sector as f64 + 0.5) / SECTORS as f64 * TAU).sin_cos();
     let mut last = None;
     // The tile the ray is in: looked up once, for a ray enters two or three.
     let mut here: Option<(TileId, Option<&mut Box<[u8; VIEW_BLOCKS]>>)> = None;
     for step in 0..=(range_m / STEP_M) as usize {
         let along = step as f64 * STEP_M;
-        let block = BlockIndex::of(from.zone, [x0 + along * cos, y0 + along * sin]);
+        let block = BlockIndex::of(from.zone, middle.moved(along * cos, along * sin));
         if last.replace(block) == Some(block) {
             continue;
         }

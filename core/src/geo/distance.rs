@@ -43,8 +43,8 @@ mod tests {
             let grid = Grid::of(a).unwrap();
             for (north, east) in [(0.01, 0.0), (0.0, 0.01), (0.005, -0.008)] {
                 let b = LatLon { lat_deg: lat_deg + north, lon_deg: a.lon_deg + east };
-                let ([x0, y0], [x1, y1]) = (grid.project(a).unwrap(), grid.project(b).unwrap());
-                let expected = (x1 - x0).hypot(y1 - y0) / grid.scale_factor(a).unwrap();
+                let (from, to) = (grid.project(a).unwrap(), grid.project(b).unwrap());
+                let expected = to.distance_m(from) / grid.scale_factor(a).unwrap();
                 for (per_degree, accuracy) in
                     [(MetresPerDegree::WGS84, 5.1e-3), (MetresPerDegree::SPHERE, 5.7e-3)]
                 {

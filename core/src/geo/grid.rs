@@ -4,6 +4,7 @@ use geodesy::authoring::Jacobian;
 use geodesy::prelude::*;
 
 use super::{Error, Zone};
+use crate::point::MapPoint;
 use crate::pose::{Pose2, wrap_angle};
 
 /// A WGS-84 position in degrees.
@@ -61,22 +62,22 @@ impl Grid {
         self.zone
     }
 
-    /// Map metres [easting, northing] of a position, also beyond the zone's border.
+    /// Where a position lies on the map, also beyond the zone's border.
     ///
     /// # Errors
     /// When the projection has no answer there.
-    pub fn project(&self, at: LatLon) -> Result<[f64; 2], Error> {
+    pub fn project(&self, at: LatLon) -> Result<MapPoint, Error> {
         let [x, y] =
             self.apply(Fwd, Coor2D::raw(self.unwound_lon(at).to_radians(), at.lat_deg.to_radians()))?;
-        Ok([x, y])
+        Ok(MapPoint::new(x, y))
     }
 
-    /// The position of map metres [easting, northing].
+    /// The position of a point on the map.
     ///
     /// # Errors
     /// When the projection has no answer there.
-    pub fn unproject(&self, [x_m, y_m]: [f64; 2]) -> Result<LatLon, Error> {
-        let [lon, lat] = self.apply(Inv, Coor2D::raw(x_m, y_m))?;
+    pub fn unproject(&self, point: MapPoint) -> Result<LatLon, Error> {
+        let [lon, lat] = self.apply(Inv, Coor2D::raw(point.x_m, point.y_m))?;
         Ok(LatLon::wrapped(lat.to_degrees(), lon.to_degrees()))
     }
 
@@ -104,8 +105,8 @@ impl Grid {
     /// # Errors
     /// When the projection has no answer there.
     pub fn pose_from_geodetic(&self, at: LatLon, true_yaw_rad: f64) -> Result<Pose2, Error> {
-        let [x, y] = self.project(at)?;
-        Ok(Pose2::new(x, y, wrap_angle(true_yaw_rad + self.convergence_rad(at)?)))
+        let MapPoint { x_m, y_m } = self.project(at)?;
+        Ok(Pose2::new(x_m, y_m, wrap_angle(true_yaw_rad + self.convergence_rad(at)?)))
     }
 
     /// The position and the heading counter-clockwise from true east of a pose on the grid.
@@ -113,7 +114,7 @@ impl Grid {
     /// # Errors
     /// When the projection has no answer there.
     pub fn pose_to_geodetic(&self, pose: &Pose2) -> Result<(LatLon, f64), Error> {
-        let at = self.unproject([pose.x_m, pose.y_m])?;
+        let at = self.unproject(MapPoint::of(pose))?;
         Ok((at, wrap_angle(pose.yaw_rad - self.convergence_rad(at)?)))
     }
 
@@ -161,7 +162,7 @@ mod tests {
         for (lat_deg, lon_deg, epsg, easting, northing, scale, convergence_deg) in published {
             let at = LatLon { lat_deg, lon_deg };
             let grid = Grid::new(Zone::from_epsg(epsg).unwrap()).unwrap();
-            let [x, y] = grid.project(at).unwrap();
+            let MapPoint { x_m: x, y_m: y } = grid.project(at).unwrap();
             assert!((x - easting).abs() < 5e-4 && (y - northing).abs() < 5e-4, "{at:?}: {x} {y}");
             let k = grid.scale_factor(at).unwrap();
             assert!((k - scale).abs() < 1e-8, "{at:?}: {k}");
@@ -190,7 +191,7 @@ mod tests {
         let b = LatLon { lat_deg: 60.0 + 100.0 / 111_412.0, lon_deg: 8.5 };
         let grid = Grid::new(Zone::from_epsg(32632).unwrap()).unwrap();
         let (pa, pb) = (grid.project(a).unwrap(), grid.project(b).unwrap());
-        let along = (pb[1] - pa[1]).atan2(pb[0] - pa[0]);
+        let along = (pb.y_m - pa.y_m).atan2(pb.x_m - pa.x_m);
         let pose = grid.pose_from_geodetic(a, std::f64::consts::FRAC_PI_2).unwrap();
         assert!((pose.yaw_rad - along).abs() < 1e-6, "{} {along}", pose.yaw_rad);
     }
@@ -200,7 +201,7 @@ mod tests {
         let grid = Grid::new(Zone::from_epsg(32660).unwrap()).unwrap();
         let west = grid.project(LatLon { lat_deg: 10.0, lon_deg: 179.999 }).unwrap();
         let east = grid.project(LatLon { lat_deg: 10.0, lon_deg: -179.999 }).unwrap();
-        assert!((east[0] - west[0] - 219.3).abs() < 1.0, "{west:?} {east:?}");
+        assert!((east.x_m - west.x_m - 219.3).abs() < 1.0, "{west:?} {east:?}");
         assert!(grid.unproject(east).unwrap().lon_deg < -179.0);
     }
 
@@ -223,7 +224,7 @@ mod tests {
                 let grid = Grid::new(Zone::from_epsg(epsg + south).unwrap()).unwrap();
                 let pose = grid.pose_from_geodetic(at, 0.7).unwrap();
                 let k = grid.scale_factor(at).unwrap();
-                grid.unproject(pose.transform([k * dx, k * dy])).unwrap()
+                grid.unproject(pose.transform([k * dx, k * dy]).into()).unwrap()
             };
             let (a, b) = (land(32631), land(32632));
             prop_assert!((a.lat_deg - b.lat_deg).abs() < 2e-8, "{a:?} {b:?}");

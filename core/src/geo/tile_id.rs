@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::{Error, Zone};
+use crate::point::MapPoint;
 
 /// Side of a cell, metres (paper, Sec. "Test procedure").
 pub const CELL_M: f64 = 0.1;
@@ -22,16 +23,16 @@ pub struct CellIndex {
 }
 
 impl CellIndex {
-    /// The cell that holds map metres [easting, northing].
+    /// The cell that holds a point on the map.
     #[must_use]
-    pub fn of([x_m, y_m]: [f64; 2]) -> Self {
-        Self { x: (x_m / CELL_M).floor() as i64, y: (y_m / CELL_M).floor() as i64 }
+    pub fn of(point: MapPoint) -> Self {
+        Self { x: (point.x_m / CELL_M).floor() as i64, y: (point.y_m / CELL_M).floor() as i64 }
     }
 
-    /// Map metres of the cell's centre.
+    /// The cell's centre.
     #[must_use]
-    pub fn centre(self) -> [f64; 2] {
-        [(self.x as f64 + 0.5) * CELL_M, (self.y as f64 + 0.5) * CELL_M]
+    pub fn centre(self) -> MapPoint {
+        MapPoint::new((self.x as f64 + 0.5) * CELL_M, (self.y as f64 + 0.5) * CELL_M)
     }
 }
 
@@ -49,10 +50,10 @@ pub struct TileId {
 }
 
 impl TileId {
-    /// The tile that holds map metres [easting, northing] of a zone.
+    /// The tile that holds a point on the map of a zone.
     #[must_use]
-    pub fn of(zone: Zone, [x_m, y_m]: [f64; 2]) -> Self {
-        Self::of_cell(zone, CellIndex::of([x_m, y_m]))
+    pub fn of(zone: Zone, point: MapPoint) -> Self {
+        Self::of_cell(zone, CellIndex::of(point))
     }
 
     /// The tile that holds a cell, and the cell's row-major index in it.
@@ -83,10 +84,16 @@ impl TileId {
         std::array::from_fn(|i| Self { x: self.x + i as i32 % 3 - 1, y: self.y + i as i32 / 3 - 1, ..self })
     }
 
-    /// Map metres of the south-west corner.
+    /// The south-west corner.
     #[must_use]
-    pub fn origin(self) -> [f64; 2] {
-        [f64::from(self.x) * TILE_M, f64::from(self.y) * TILE_M]
+    pub fn origin(self) -> MapPoint {
+        MapPoint::new(f64::from(self.x) * TILE_M, f64::from(self.y) * TILE_M)
+    }
+
+    /// The centre.
+    #[must_use]
+    pub fn centre(self) -> MapPoint {
+        self.origin().moved(0.5 * TILE_M, 0.5 * TILE_M)
     }
 
     /// The south-west cell.
@@ -101,14 +108,14 @@ impl TileId {
     /// the equator is mapped in both hemispheres' zones.
     #[must_use]
     pub fn lies_on_grid(self) -> bool {
-        let [x_m, y_m] = self.origin();
+        let MapPoint { x_m, y_m } = self.origin();
         (100_000.0..900_000.0).contains(&x_m) && (-2_000.0..10_002_000.0).contains(&y_m)
     }
 
-    /// Tiles of a zone that touch the square of half width `half_m` around map metres.
-    pub fn covering(zone: Zone, [x_m, y_m]: [f64; 2], half_m: f64) -> impl Iterator<Item = Self> {
-        let low = Self::of(zone, [x_m - half_m, y_m - half_m]);
-        let high = Self::of(zone, [x_m + half_m, y_m + half_m]);
+    /// Tiles of a zone that touch the square of half width `half_m` around a point.
+    pub fn covering(zone: Zone, point: MapPoint, half_m: f64) -> impl Iterator<Item = Self> {
+        let low = Self::of(zone, point.moved(-half_m, -half_m));
+        let high = Self::of(zone, point.moved(half_m, half_m));
         (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| Self { zone, y, x }))
     }
 }
@@ -155,22 +162,22 @@ mod tests {
         #[test]
         fn a_cell_lies_in_its_tile(x in -1e6..1e6_f64, y in 0.0..1e7_f64) {
             let zone = Zone::from_epsg(32614).unwrap();
-            let cell = CellIndex::of([x, y]);
+            let cell = CellIndex::of(MapPoint::new(x, y));
             let tile = TileId::of_cell(zone, cell);
             let first = tile.first_cell();
             prop_assert!((0..512).contains(&(cell.x - first.x)) && (0..512).contains(&(cell.y - first.y)));
             let (same, index) = TileId::locate(zone, cell);
             prop_assert_eq!((same, same.cell(index)), (tile, cell));
             prop_assert_eq!(tile.to_string().parse::<TileId>().unwrap(), tile);
-            let [cx, cy] = cell.centre();
-            prop_assert!((cx - x).abs() <= 0.051 && (cy - y).abs() <= 0.051);
+            let centre = cell.centre();
+            prop_assert!((centre.x_m - x).abs() <= 0.051 && (centre.y_m - y).abs() <= 0.051);
         }
     }
 
     #[test]
     fn covering_is_the_block_of_tiles_touched() {
         let zone = Zone::from_epsg(32614).unwrap();
-        let tiles: Vec<_> = TileId::covering(zone, [51.2 * 10.5, 51.2 * 20.5], 50.0).collect();
+        let tiles: Vec<_> = TileId::covering(zone, MapPoint::new(51.2 * 10.5, 51.2 * 20.5), 50.0).collect();
         assert_eq!(tiles.len(), 9);
         assert!(tiles.is_sorted());
     }

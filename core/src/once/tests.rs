@@ -7,12 +7,12 @@ use crate::pose::Pose2;
 
 const SPEED_MPS: f64 = 8.0;
 
-/// Two fronts, map metres.
-fn street() -> Vec<[f64; 2]> {
+/// Two fronts.
+fn street() -> Vec<MapPoint> {
     let front = |side: f64| {
         (0..900).map(move |i| {
             let along = 0.1 * f64::from(i);
-            [along, side * (9.0 + 1.5 * (0.7 * along + side).sin() + (1.9 * along).cos())]
+            MapPoint::new(along, side * (9.0 + 1.5 * (0.7 * along + side).sin() + (1.9 * along).cos()))
         })
     };
     front(1.0).chain(front(-1.0)).collect()
@@ -32,7 +32,7 @@ fn scans() -> Vec<Scan> {
     let street = street();
     let scan = |i: i64| {
         let body = true_pose(i * 100_000).inverse();
-        let seen = street.iter().skip(i as usize % 3).step_by(3).map(|p| body.transform(*p));
+        let seen = street.iter().skip(i as usize % 3).step_by(3).map(|p| body.transform((*p).into()));
         let seen: Vec<_> = seen.filter(|[x, y]| x.hypot(*y) < 45.0).collect();
         Scan {
             time_us: i * 100_000,
@@ -51,7 +51,7 @@ fn prior() -> Prior {
 }
 
 fn asked(
-    map: &[[f64; 2]],
+    map: &[MapPoint],
     scans: &[Scan],
     prior: &Prior,
     options: &OnceOptions<'_>,
@@ -68,7 +68,7 @@ fn asked(
 #[test]
 fn the_pose_is_found_anywhere_on_the_plane() {
     for [east, north] in [[0.0, 0.0], [-40.0, -3.0], [600_000.0, 3_300_000.0]] {
-        let map: Vec<_> = street().into_iter().map(|[x, y]| [x + east, y + north]).collect();
+        let map: Vec<_> = street().into_iter().map(|p| p.moved(east, north)).collect();
         let mut prior = prior();
         (prior.pose.x_m, prior.pose.y_m) = (prior.pose.x_m + east, prior.pose.y_m + north);
         let found = asked(&map, &scans(), &prior, &OnceOptions::default()).expect("there is a map");
@@ -115,7 +115,7 @@ fn a_callers_own_engine_drives_the_pipeline() {
 #[test]
 fn what_cannot_be_aligned_is_an_error_that_says_what_to_do() {
     let (map, scans, options) = (street(), scans(), OnceOptions::default());
-    let error = |map: &[[f64; 2]], scans: &[Scan], prior: &Prior| {
+    let error = |map: &[MapPoint], scans: &[Scan], prior: &Prior| {
         asked(map, scans, prior, &options).expect_err("it cannot be aligned")
     };
     let with = |change: fn(&mut Prior)| {
@@ -131,7 +131,10 @@ fn what_cannot_be_aligned_is_an_error_that_says_what_to_do() {
     assert_eq!(wide, Error::SearchTooWide { search_m: 150.0 });
     let far = error(&map, &scans, &with(|p| p.pose.x_m = 1e6));
     assert!(far.to_string().contains("same map metres"), "{far}");
-    assert!(matches!(error(&[[f64::NAN, 0.0]], &scans, &prior()), Error::MapPoint { index: 0, .. }));
+    assert!(matches!(
+        error(&[MapPoint::new(f64::NAN, 0.0)], &scans, &prior()),
+        Error::MapPoint { index: 0, .. }
+    ));
     let short = Scan { range_m: vec![1.0], ..Scan::default() };
     assert!(matches!(error(&map, &[short], &prior()), Error::Scan { index: 0, .. }));
     let elsewhere = Scan { sensor: 1, ..scans[0].clone() };

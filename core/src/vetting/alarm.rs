@@ -8,14 +8,15 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 use crate::datum::Offset;
 use crate::geo::Zone;
+use crate::point::MapPoint;
 
 /// A quarantined upload.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuarantinedUpload {
     /// The zone of its position.
     pub zone: Zone,
-    /// The position of the upload, map metres.
-    pub place: [f64; 2],
+    /// Where it lies.
+    pub position: MapPoint,
     /// By how much it lies beside the map; `None` when it shows something else than the map.
     pub offset: Option<Offset>,
     /// Keyed hash of its contributor's pseudonym.
@@ -57,8 +58,8 @@ pub enum AlarmKind {
 pub struct Alarm {
     /// The zone of its position.
     pub zone: Zone,
-    /// The middle of the uploads' positions, map metres.
-    pub place: [f64; 2],
+    /// The middle of the uploads' positions.
+    pub position: MapPoint,
     /// What they agree on.
     pub kind: AlarmKind,
     /// Distinct contributors.
@@ -80,38 +81,43 @@ pub fn alarms(quarantined: &[QuarantinedUpload], limits: &AlarmLimits) -> Vec<Al
     let mut alarms = Vec::new();
     for zone in zones {
         let mut here: Vec<&QuarantinedUpload> = distinct.iter().filter(|q| q.zone == zone).copied().collect();
-        here.sort_by_key(|q| (q.place.map(f64::to_bits), q.contributor, q.day, q.offset));
+        here.sort_by_key(|q| (bits(q.position), q.contributor, q.day, q.offset));
         alarms.extend(in_zone(&here, limits));
     }
     alarms.sort_by_key(|alarm| Reverse(alarm.contributors));
     alarms
 }
 
+/// Something to order positions by.
+fn bits(position: MapPoint) -> [u64; 2] {
+    [position.x_m.to_bits(), position.y_m.to_bits()]
+}
+
 /// The first upload of each contributor near each position.
 fn distinct<'a>(quarantined: &'a [QuarantinedUpload], limits: &AlarmLimits) -> Vec<&'a QuarantinedUpload> {
     let mut all: Vec<&QuarantinedUpload> = quarantined.iter().collect();
-    all.sort_by_key(|q| (q.day, q.place.map(f64::to_bits), q.contributor, q.offset));
+    all.sort_by_key(|q| (q.day, bits(q.position), q.contributor, q.offset));
     let step = |value: f64, size: f64| (value / size).round() as i64;
     let mut said = BTreeSet::new();
     all.retain(|q| {
-        let place = q.place.map(|along| step(along, 0.5 * limits.within_m));
+        let position = [q.position.x_m, q.position.y_m].map(|along| step(along, 0.5 * limits.within_m));
         let offset = q.offset.map(|offset| {
             let pose = offset.pose();
             let shift = [pose.x_m, pose.y_m].map(|along| step(along, 0.5 * limits.shift_m));
             (shift, step(pose.yaw_rad, 0.5 * limits.yaw_rad))
         });
-        said.insert((q.zone, q.contributor, place, offset))
+        said.insert((q.zone, q.contributor, position, offset))
     });
     all.split_off(all.len().saturating_sub(MOST))
 }
 
 fn in_zone(here: &[&QuarantinedUpload], limits: &AlarmLimits) -> Vec<Alarm> {
-    let places: Vec<[f64; 2]> = here.iter().map(|q| q.place).collect();
+    let positions: Vec<[f64; 2]> = here.iter().map(|q| q.position.into()).collect();
     // A tree is refused for more positions than it can number.
-    let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&places) else { return Vec::new() };
+    let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&positions) else { return Vec::new() };
     let within = limits.within_m * limits.within_m;
     let around = |seed: &&QuarantinedUpload| {
-        let near = tree.query(&seed.place).within::<SquaredEuclidean<f64>>(within).execute();
+        let near = tree.query(&seed.position.into()).within::<SquaredEuclidean<f64>>(within).execute();
         let mut group: Vec<usize> = near.into_iter().map(|n| n.item as usize).collect();
         group.retain(|other| alike(seed, here[*other], limits));
         group.sort_unstable();
@@ -153,7 +159,8 @@ fn contributors(here: &[&QuarantinedUpload], group: &[usize]) -> usize {
 fn alarm(here: &[&QuarantinedUpload], group: &[usize]) -> Option<Alarm> {
     let members = || group.iter().map(|member| here[*member]);
     let count = group.len() as f64;
-    let place = [0, 1].map(|axis: usize| members().map(|q| q.place[axis]).sum::<f64>() / count);
+    let middle = |along: fn(MapPoint) -> f64| members().map(|q| along(q.position)).sum::<f64>() / count;
+    let position = MapPoint::new(middle(|p| p.x_m), middle(|p| p.y_m));
     let offsets: Vec<Offset> = members().filter_map(|q| q.offset).collect();
     let mean = |part: fn(&Offset) -> i32| {
         let sum: i64 = offsets.iter().map(|o| i64::from(part(o))).sum();
@@ -170,7 +177,7 @@ fn alarm(here: &[&QuarantinedUpload], group: &[usize]) -> Option<Alarm> {
     };
     let first = members().next()?;
     let since = members().map(|q| q.day).min().unwrap_or(first.day);
-    Some(Alarm { zone: first.zone, place, kind, contributors: contributors(here, group), since })
+    Some(Alarm { zone: first.zone, position, kind, contributors: contributors(here, group), since })
 }
 
 #[cfg(test)]
@@ -180,7 +187,8 @@ mod tests {
     fn upload(x: f64, offset_mm: Option<[i32; 2]>, contributor: u64, day: u16) -> QuarantinedUpload {
         let offset = offset_mm.map(|[east_mm, north_mm]| Offset { east_mm, north_mm, yaw_urad: 0 });
         let zone = Zone::from_epsg(32614).expect("a zone");
-        QuarantinedUpload { zone, place: [600_000.0 + x, 3_300_000.0], offset, contributor, day }
+        let position = MapPoint::new(600_000.0 + x, 3_300_000.0);
+        QuarantinedUpload { zone, position, offset, contributor, day }
     }
 
     fn found(quarantined: &[QuarantinedUpload]) -> Vec<Alarm> {
@@ -197,7 +205,7 @@ mod tests {
         let [alarm] = found(&three)[..] else { panic!("one alarm: {:?}", found(&three)) };
         assert_eq!((alarm.contributors, alarm.since), (3, 20_001));
         assert_eq!(alarm.kind, AlarmKind::Shift(Offset { east_mm: 1000, north_mm: 0, yaw_urad: 0 }));
-        assert!((alarm.place[0] - 600_030.0).abs() < 1e-9);
+        assert!((alarm.position.x_m - 600_030.0).abs() < 1e-9);
         let reversed: Vec<_> = three.iter().rev().copied().collect();
         assert_eq!(found(&reversed), [alarm]);
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::matching::{PartMatch, PartMatcher, Probing};
+use super::matching::{MatchingLimits, PartMatch, PartMatcher};
 use super::part::{UploadPart, parts};
 use super::{MapSide, Offsets, TileHits};
 use crate::datum::{Offset, mean_offset};
@@ -13,7 +13,7 @@ use crate::pose::Pose2;
 
 /// When an upload agrees with the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct VettingLimits {
     /// Shift beyond which an upload is wrong, metres, from the map less its own offset. That is a mean, which of few
     /// passes errs itself: `sqrt(1 + 1 / passes)` times as much is allowed.
     pub shift_m: f64,
@@ -31,10 +31,10 @@ pub struct Limits {
     /// Score relative to a random shift's, below which a part matches nowhere.
     pub min_contrast: f64,
     /// How parts are made and matched.
-    pub probing: Probing,
+    pub matching: MatchingLimits,
 }
 
-impl Default for Limits {
+impl Default for VettingLimits {
     fn default() -> Self {
         Self {
             shift_m: 0.45,
@@ -44,7 +44,7 @@ impl Default for Limits {
             min_coverage: 0.3,
             known_coverage: 0.9,
             min_contrast: 1.35,
-            probing: Probing::default(),
+            matching: MatchingLimits::default(),
         }
     }
 }
@@ -106,26 +106,48 @@ pub enum PartVerdict {
     Found {
         /// Shift and turn beyond the expected ones, drawn to zero where the map does not determine them.
         error: Pose2,
-        /// The same in limits: shift and turn.
-        excess: [f64; 2],
+        /// The same, relative to what is allowed.
+        excess: Excess,
     },
+}
+
+/// An error relative to what is allowed: up to 1 it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Excess {
+    /// Of the shift.
+    pub shift: f64,
+    /// Of the turn.
+    pub turn: f64,
+}
+
+impl Excess {
+    /// True within both limits.
+    #[must_use]
+    pub fn is_allowed(&self) -> bool {
+        self.shift <= 1.0 && self.turn <= 1.0
+    }
 }
 
 impl Vetter {
     /// Compares an upload, its cells in one zone, with the map.
-    pub fn vet(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &Limits) -> Vetted {
+    pub fn vet(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &VettingLimits) -> Vetted {
         together(&self.judge_parts(tiles, map, limits))
     }
 
     /// The parts of an upload and the verdict on each: what [`Vetter::vet`] rests on.
-    pub fn judge_parts(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &Limits) -> Vec<JudgedPart> {
+    pub fn judge_parts(
+        &mut self,
+        tiles: &[TileHits],
+        map: &dyn MapSide,
+        limits: &VettingLimits,
+    ) -> Vec<JudgedPart> {
         let mut prepared = BTreeMap::new();
         let mut judged = Vec::new();
-        for part in parts(tiles, limits.probing.extent_m) {
+        for part in parts(tiles, limits.matching.extent_m) {
             let id = TileId::of(part.zone, part.middle);
             let expected = mean_offset(part.zone, part.middle, |id| map.datum(id));
             let young = (1.0 + 1.0 / f64::from(map.datum(id).passes.max(1))).sqrt();
-            let found = self.matcher.find(&part, &expected, map, &mut prepared, &limits.probing);
+            let found = self.matcher.find(&part, &expected, map, &mut prepared, &limits.matching);
             let verdict = found.map_or(PartVerdict::None, |found| part_verdict(&found, young, limits));
             judged.push(JudgedPart { part, expected, found, verdict });
         }
@@ -133,16 +155,18 @@ impl Vetter {
     }
 }
 
-fn part_verdict(at: &PartMatch, young: f64, limits: &Limits) -> PartVerdict {
+fn part_verdict(at: &PartMatch, young: f64, limits: &VettingLimits) -> PartVerdict {
     let sigma = [limits.sigma_m, limits.sigma_m, limits.sigma_yaw_rad].map(|s| s * young);
     let error = drawn(&at.error, &at.covariance, sigma);
-    let excess = [error.x_m.hypot(error.y_m) / limits.shift_m, error.yaw_rad.abs() / limits.yaw_rad];
-    let excess = excess.map(|e| e / young);
+    let excess = Excess {
+        shift: error.x_m.hypot(error.y_m) / limits.shift_m / young,
+        turn: error.yaw_rad.abs() / limits.yaw_rad / young,
+    };
     let held = at.covariance.iter().all(|v| v.is_finite());
     let fits = held && at.contrast >= limits.min_contrast;
     let here = PartVerdict::Found { error, excess };
     let known = at.coverage >= limits.known_coverage;
-    if excess.iter().all(|e| *e <= 1.0) {
+    if excess.is_allowed() {
         return match (fits, known) {
             (true, _) if at.coverage >= limits.min_coverage => here,
             (false, true) if at.contrast < limits.min_contrast => PartVerdict::Lost,
@@ -150,7 +174,7 @@ fn part_verdict(at: &PartMatch, young: f64, limits: &Limits) -> PartVerdict {
         };
     }
     // It matches elsewhere than expected: that means something only where the map is known.
-    let clear = fits && !at.at_edge && at.margin >= limits.probing.min_margin;
+    let clear = fits && !at.at_edge && at.margin >= limits.matching.min_margin;
     match (known, clear) {
         (false, _) => PartVerdict::None,
         (true, true) => here,
@@ -176,11 +200,9 @@ fn together(judged: &[JudgedPart]) -> Vetted {
         match verdict {
             PartVerdict::None => {}
             PartVerdict::Lost => lost += points,
-            PartVerdict::Found { excess: [shift, turn], .. } if *shift <= 1.0 && *turn <= 1.0 => {
-                agree += points;
-            }
-            PartVerdict::Found { excess: [_, turn], .. } => {
-                wrong[usize::from(*turn > 1.0)] += points;
+            PartVerdict::Found { excess, .. } if excess.is_allowed() => agree += points,
+            PartVerdict::Found { excess, .. } => {
+                wrong[usize::from(excess.turn > 1.0)] += points;
                 errors.push((*error, *points));
             }
         }
@@ -204,7 +226,7 @@ fn offsets(judged: &[JudgedPart]) -> Offsets {
     let mut offsets = Offsets::default();
     for JudgedPart { part, expected, found, verdict } in judged {
         let (PartVerdict::Found { error, excess }, Some(at)) = (verdict, found) else { continue };
-        if excess.iter().all(|e| *e <= 1.0) {
+        if excess.is_allowed() {
             let onto_map = sum(expected, error);
             let spread = at.covariance[(0, 0)] + at.covariance[(1, 1)];
             offsets.push(part.middle, Offset::of(&onto_map), 1.0 / (spread + FLOOR_M * FLOOR_M));

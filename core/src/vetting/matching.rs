@@ -15,12 +15,13 @@ use crate::align::weights::TileWeights;
 use crate::align::{EngineKind, Prior, Search};
 use crate::batch::Batch;
 use crate::geo::TileId;
+use crate::point::MapPoint;
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
 /// How parts are made and matched with the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Probing {
+pub struct MatchingLimits {
     /// Cells farther from a part's middle belong to another part, metres.
     pub extent_m: f64,
     /// Half width of the search, metres.
@@ -34,17 +35,17 @@ pub struct Probing {
     /// The same for the curvature of the score, on squared weights.
     pub temperature: f64,
     /// A candidate within this distance of the expected position, metres, is chosen unless another one exceeds it
-    /// by [`Probing::min_margin`].
-    pub home_m: f64,
+    /// by [`MatchingLimits::min_margin`].
+    pub near_m: f64,
     /// The same for the turn, radians.
-    pub home_yaw_rad: f64,
+    pub near_yaw_rad: f64,
     /// Nats by which a candidate must exceed those elsewhere to be distinct.
     pub min_margin: f64,
     /// A point lies where the map knows something when a map point is this near, metres.
     pub covered_within_m: f64,
 }
 
-impl Default for Probing {
+impl Default for MatchingLimits {
     fn default() -> Self {
         Self {
             extent_m: 45.0,
@@ -53,8 +54,8 @@ impl Default for Probing {
             min_points: 300,
             score_temperature: 10.0,
             temperature: 2.0,
-            home_m: 0.5,
-            home_yaw_rad: 1_f64.to_radians(),
+            near_m: 0.5,
+            near_yaw_rad: 1_f64.to_radians(),
             min_margin: 12.0,
             covered_within_m: 2.0,
         }
@@ -102,13 +103,13 @@ impl PartMatcher {
         expected: &Pose2,
         map: &dyn MapSide,
         tiles: &mut BTreeMap<TileId, Option<Arc<TileWeights>>>,
-        probing: &Probing,
+        limits: &MatchingLimits,
     ) -> Option<PartMatch> {
-        self.pipeline.thin(&part.points, probing.extent_m);
-        if self.pipeline.points().len() < probing.min_points {
+        self.pipeline.thin(&part.points, limits.extent_m);
+        if self.pipeline.points().len() < limits.min_points {
             return None;
         }
-        let square = MapSquare::around(part.zone, part.middle, probing.extent_m, probing.reach_m);
+        let square = MapSquare::around(part.zone, part.middle, limits.extent_m, limits.reach_m);
         let known: Vec<_> = square
             .tiles()
             .filter_map(|id| tiles.entry(id).or_insert_with(|| map.weights(id)).clone())
@@ -117,35 +118,35 @@ impl PartMatcher {
             return None;
         }
         self.pipeline.assemble(square, &known);
-        let [x, y] = part.middle;
+        let MapPoint { x_m, y_m } = part.middle;
         let prior = Prior {
-            pose: Pose2::new(x + expected.x_m, y + expected.y_m, expected.yaw_rad),
-            sigma_position_m: probing.reach_m,
-            sigma_yaw_rad: probing.reach_yaw_rad,
+            pose: Pose2::new(x_m + expected.x_m, y_m + expected.y_m, expected.yaw_rad),
+            sigma_position_m: limits.reach_m,
+            sigma_yaw_rad: limits.reach_yaw_rad,
             scale: 1.0,
         };
-        let search = Search { sigmas: 1.0, extent_m: probing.extent_m, ..Search::default() };
+        let search = Search { sigmas: 1.0, extent_m: limits.extent_m, ..Search::default() };
         // The engine that is asked counts the thinned points only.
         let batch = Batch::default();
         let engine = EngineKind::Fast.engine();
-        Some(matched(&self.pipeline.rank(engine, &batch, &prior, &search, Some(EXPECTED)), probing))
+        Some(matched(&self.pipeline.rank(engine, &batch, &prior, &search, Some(EXPECTED)), limits))
     }
 }
 
-fn matched(ranking: &Ranking, probing: &Probing) -> PartMatch {
+fn matched(ranking: &Ranking, limits: &MatchingLimits) -> PartMatch {
     let question = &ranking.question;
     let (prior, points, view) = (question.prior, question.thinned, question.view);
-    let (best, margin) = chosen(ranking, probing);
+    let (best, margin) = chosen(ranking, limits);
     let start = Candidate { correction: best.correction, score: best.score, at_edge: best.at_edge };
     let sharp = refine(&ranking.field.sharpened(), points, prior, &start);
     let background = ranking.background(question.lattice.half_widths().0);
-    let near = |d: f64| d <= probing.covered_within_m;
-    let covered = |position: [f64; 2]| {
+    let near = |d: f64| d <= limits.covered_within_m;
+    let covered = |position: MapPoint| {
         view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
     };
     PartMatch {
         error: sharp.correction,
-        covariance: sharp.covariance(probing.temperature),
+        covariance: sharp.covariance(limits.temperature),
         points: points.len(),
         coverage: ranking.fraction(&prior.corrected(&sharp.correction), covered),
         contrast: if background > 0.0 { best.score / background } else { 0.0 },
@@ -156,15 +157,15 @@ fn matched(ranking: &Ranking, probing: &Probing) -> PartMatch {
 
 /// The candidate near the expected position unless another one is better by far, else the best one; and by how
 /// many nats it exceeds the best one elsewhere.
-fn chosen(ranking: &Ranking, probing: &Probing) -> (RefinedCandidate, f64) {
+fn chosen(ranking: &Ranking, limits: &MatchingLimits) -> (RefinedCandidate, f64) {
     let Some(best) = ranking.refined.first() else { return (RefinedCandidate::NONE, 0.0) };
-    let nats = ranking.question.thinned.len() as f64 / probing.score_temperature;
+    let nats = ranking.question.thinned.len() as f64 / limits.score_temperature;
     let near = |candidate: &&RefinedCandidate| {
-        candidate.correction.distance_m(&Pose2::IDENTITY) <= probing.home_m
-            && candidate.correction.yaw_rad.abs() <= probing.home_yaw_rad
+        candidate.correction.distance_m(&Pose2::IDENTITY) <= limits.near_m
+            && candidate.correction.yaw_rad.abs() <= limits.near_yaw_rad
     };
     let home = ranking.refined.iter().find(near);
-    let here = home.filter(|home| nats * (best.score - home.score) < probing.min_margin).unwrap_or(best);
+    let here = home.filter(|home| nats * (best.score - home.score) < limits.min_margin).unwrap_or(best);
     let next = ranking.best_beyond(&here.correction);
     (*here, next.map_or(f64::INFINITY, |next| nats * (here.score - next.score)))
 }

@@ -25,7 +25,7 @@ use crate::evidence::CellHits;
 use crate::geo::TileId;
 use crate::tile::{Ledger, Tile};
 
-pub use judge::{JudgedPart, Limits, PartVerdict, Reason, Vetted, Vetter};
+pub use judge::{Excess, JudgedPart, PartVerdict, Reason, Vetted, Vetter, VettingLimits};
 pub use moved::{moved, moved_evidence};
 pub use offset::Offsets;
 

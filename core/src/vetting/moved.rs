@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use super::{Offsets, TileHits};
 use crate::datum::Offset;
 use crate::evidence::{self, CellHits, OFFSET_STEPS};
-use crate::geo::{CELL_M, CellIndex, TILE_M, TileId};
+use crate::geo::{CELL_M, CellIndex, TileId};
+use crate::point::MapPoint;
 
 /// Moves cells by the offset at their position: each goes whole, with the mean position of its hits, into the cell
 /// that holds the new position, be it another tile's. Hits are conserved.
@@ -33,7 +34,7 @@ fn shifted(id: TileId, cell: &CellHits, offsets: &Offsets) -> (CellIndex, CellHi
     let steps = i64::from(OFFSET_STEPS);
     let hits = i64::from(cell.hits);
     let mean = cell.offset_sum.map(|sum| f64::from(sum) / f64::from(cell.hits) / f64::from(OFFSET_STEPS));
-    let position = [(from.x as f64 + mean[0]) * CELL_M, (from.y as f64 + mean[1]) * CELL_M];
+    let position = MapPoint::new((from.x as f64 + mean[0]) * CELL_M, (from.y as f64 + mean[1]) * CELL_M);
     let by = offsets.at(position);
     let axis = |from: i64, sum: u32, by_m: f64| {
         let by_steps = (by_m / CELL_M * f64::from(OFFSET_STEPS)).round() as i64;
@@ -63,8 +64,7 @@ pub fn moved_evidence(
         if let Ok(before) = shares.binary_search_by_key(&id, |(id, _)| *id) {
             share.observed = share.observed.union(&shares[before].1.observed);
         }
-        let centre = id.origin().map(|corner| corner + 0.5 * TILE_M);
-        (id, share, Offset::of(&offsets.at(centre)))
+        (id, share, Offset::of(&offsets.at(id.centre())))
     });
     on_map.collect()
 }
@@ -88,9 +88,8 @@ mod tests {
     }
 
     fn by(east_mm: i32, north_mm: i32, yaw_urad: i32) -> Offsets {
-        let [x, y] = id().origin();
         let mut offsets = Offsets::default();
-        offsets.push([x + 25.0, y + 25.0], Offset { east_mm, north_mm, yaw_urad }, 1.0);
+        offsets.push(id().origin().moved(25.0, 25.0), Offset { east_mm, north_mm, yaw_urad }, 1.0);
         offsets
     }
 

@@ -1,6 +1,7 @@
 //! How far an upload lies beside the map.
 
 use crate::datum::Offset;
+use crate::point::MapPoint;
 use crate::pose::{Pose2, weighted_mean};
 
 /// Distance at which a part of an upload counts half, metres.
@@ -18,15 +19,15 @@ pub struct Offsets {
 /// An offset around a position, and its weight among others.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PartOffset {
-    middle: [f64; 2],
+    middle: MapPoint,
     offset: Offset,
     weight: f64,
 }
 
 impl Offsets {
-    /// Adds an offset measured around a position (map metres); it turns about that position. `weight` is its
-    /// weight among others.
-    pub fn push(&mut self, middle: [f64; 2], offset: Offset, weight: f64) {
+    /// Adds an offset measured around a position; it turns about that position. `weight` is its weight among
+    /// others.
+    pub fn push(&mut self, middle: MapPoint, offset: Offset, weight: f64) {
         self.parts.push(PartOffset { middle, offset, weight });
     }
 
@@ -42,11 +43,11 @@ impl Offsets {
         self.parts.len()
     }
 
-    /// The offset at a position, map metres: how it shifts what is there, and how it turns it. Continuous.
+    /// The offset at a position: how it shifts what is there, and how it turns it. Continuous.
     #[must_use]
-    pub fn at(&self, [x, y]: [f64; 2]) -> Pose2 {
+    pub fn at(&self, position: MapPoint) -> Pose2 {
         weighted_mean(self.parts.iter().map(|part| {
-            let (dx, dy) = (x - part.middle[0], y - part.middle[1]);
+            let (dx, dy) = (position.x_m - part.middle.x_m, position.y_m - part.middle.y_m);
             let squared = dx * dx + dy * dy;
             let nearness = 1.0 / (1.0 + squared / (REACH_M * REACH_M));
             let arm = ARM_M / squared.sqrt().max(ARM_M);
@@ -75,7 +76,7 @@ mod tests {
         prop::collection::vec(part, 1..5).prop_map(|parts| {
             let mut offsets = Offsets::default();
             for (x, y, east_mm, north_mm, yaw_urad, weight) in parts {
-                offsets.push([x, y], Offset { east_mm, north_mm, yaw_urad }, weight);
+                offsets.push(MapPoint::new(x, y), Offset { east_mm, north_mm, yaw_urad }, weight);
             }
             offsets
         })
@@ -85,7 +86,7 @@ mod tests {
         /// Catches: parts that end where the next begins (a nearest part, say), which would tear walls apart.
         #[test]
         fn the_offset_is_continuous(offsets in offsets(), x in -300.0..300.0_f64, y in -300.0..300.0_f64) {
-            let (a, b) = (offsets.at([x, y]), offsets.at([x + 0.01, y - 0.01]));
+            let (a, b) = (offsets.at(MapPoint::new(x, y)), offsets.at(MapPoint::new(x + 0.01, y - 0.01)));
             prop_assert!(a.distance_m(&b) < 2e-3, "{a:?} {b:?}");
         }
 
@@ -95,18 +96,18 @@ mod tests {
             let offset = Offset { east_mm: 120, north_mm: -80, yaw_urad: 0 };
             let mut offsets = Offsets::default();
             for i in 0..count {
-                offsets.push([f64::from(50 * i), 0.0], offset, f64::from(i + 1));
+                offsets.push(MapPoint::new(f64::from(50 * i), 0.0), offset, f64::from(i + 1));
             }
-            prop_assert_eq!(Offset::of(&offsets.at([x, y])), offset);
+            prop_assert_eq!(Offset::of(&offsets.at(MapPoint::new(x, y))), offset);
         }
     }
 
     #[test]
     fn a_turn_is_about_the_middle_of_its_part() {
         let mut offsets = Offsets::default();
-        offsets.push([100.0, 50.0], Offset { east_mm: 0, north_mm: 0, yaw_urad: 10_000 }, 1.0);
-        let at = offsets.at([110.0, 50.0]);
+        offsets.push(MapPoint::new(100.0, 50.0), Offset { east_mm: 0, north_mm: 0, yaw_urad: 10_000 }, 1.0);
+        let at = offsets.at(MapPoint::new(110.0, 50.0));
         assert!(at.x_m.abs() < 1e-9 && (at.y_m - 0.1).abs() < 1e-9 && (at.yaw_rad - 0.01).abs() < 1e-9);
-        assert_eq!(Offsets::default().at([1.0, 2.0]), Pose2::IDENTITY);
+        assert_eq!(Offsets::default().at(MapPoint::new(1.0, 2.0)), Pose2::IDENTITY);
     }
 }

@@ -3,16 +3,17 @@
 use super::TileHits;
 use crate::evidence::{CellHits, OFFSET_STEPS};
 use crate::geo::{CELL_M, CELLS_PER_TILE, TileId, Zone};
+use crate::point::{BodyPoint, MapPoint};
 
 /// A part of an upload.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UploadPart {
     /// The zone of its cells.
     pub zone: Zone,
-    /// Its middle, map metres; turns are about it.
-    pub middle: [f64; 2],
-    /// Its cells' mean positions, map metres from its middle.
-    pub points: Vec<[f32; 2]>,
+    /// Its middle; turns are about it.
+    pub middle: MapPoint,
+    /// Its cells' mean positions in the frame of a body at its middle that heads east.
+    pub points: Vec<BodyPoint>,
 }
 
 /// Cuts an upload of one zone into parts around about every second tile, those with most cells first.
@@ -31,12 +32,11 @@ pub fn parts(tiles: &[TileHits], extent_m: f64) -> Vec<UploadPart> {
 }
 
 fn part_around((id, cells): &TileHits, tiles: &[TileHits], extent_m: f64) -> UploadPart {
-    let (mut sum, count) = ([0.0; 2], cells.len().max(1) as f64);
+    let (mut middle, count) = (MapPoint::default(), cells.len().max(1) as f64);
     for cell in *cells {
-        let [x, y] = position(*id, cell);
-        sum = [sum[0] + x / count, sum[1] + y / count];
+        let at = position(*id, cell);
+        middle = middle.moved(at.x_m / count, at.y_m / count);
     }
-    let [x0, y0] = sum;
     let near = |tile: &&TileHits| {
         let gap = |a: i32, b: i32| f64::from((a - b).abs() - 1) * CELLS_PER_TILE as f64 * CELL_M;
         tile.0.zone == id.zone && gap(tile.0.x, id.x).max(gap(tile.0.y, id.y)) < extent_m
@@ -44,19 +44,19 @@ fn part_around((id, cells): &TileHits, tiles: &[TileHits], extent_m: f64) -> Upl
     let mut points = Vec::new();
     for (id, cells) in tiles.iter().filter(near) {
         points.extend(cells.iter().filter_map(|cell| {
-            let [x, y] = position(*id, cell);
-            let (dx, dy) = (x - x0, y - y0);
-            (dx * dx + dy * dy <= extent_m * extent_m).then_some([dx as f32, dy as f32])
+            let at = position(*id, cell);
+            let (dx, dy) = (at.x_m - middle.x_m, at.y_m - middle.y_m);
+            (dx * dx + dy * dy <= extent_m * extent_m).then_some(BodyPoint::new(dx as f32, dy as f32))
         }));
     }
-    UploadPart { zone: id.zone, middle: sum, points }
+    UploadPart { zone: id.zone, middle, points }
 }
 
-/// Mean position of a cell's hits, map metres.
-fn position(id: TileId, cell: &CellHits) -> [f64; 2] {
+/// Mean position of a cell's hits.
+fn position(id: TileId, cell: &CellHits) -> MapPoint {
     let side = CELLS_PER_TILE as u32;
-    let [x0, y0] = id.origin();
     let mean = |sum: u32| (f64::from(sum) / f64::from(cell.hits.max(1)) + 0.5) / f64::from(OFFSET_STEPS);
     let [fx, fy] = cell.offset_sum.map(mean);
-    [x0 + (f64::from(cell.index % side) + fx) * CELL_M, y0 + (f64::from(cell.index / side) + fy) * CELL_M]
+    let (column, row) = (f64::from(cell.index % side), f64::from(cell.index / side));
+    id.origin().moved((column + fx) * CELL_M, (row + fy) * CELL_M)
 }

@@ -10,6 +10,7 @@ use echofix_core::align::Prior;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::batch::Batch;
 use echofix_core::geo::{Grid, LatLon, TileId};
+use echofix_core::point::MapPoint;
 use echofix_core::window::MapSquare;
 use echofix_proto::v1::LocalizeRequest;
 use echofix_server::args::{ServeArgs, key_and_value};
@@ -170,8 +171,7 @@ impl InProcessService {
             scale: grid.scale_factor(at)?,
         };
         let reach_m = search.sigmas * prior.sigma_position_m;
-        let frame =
-            MapSquare::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m);
+        let frame = MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m);
         let mut stored = BTreeMap::new();
         for id in frame.tiles() {
             stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));

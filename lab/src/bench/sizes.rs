@@ -7,6 +7,7 @@ use echofix_core::align::pipeline::Pipeline;
 use echofix_core::align::{EngineKind, Search};
 use echofix_core::batch::Batch;
 use echofix_core::geo::CELL_M;
+use echofix_core::point::BodyPoint;
 use echofix_proto::v1::LocalizeRequest;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -91,7 +92,8 @@ fn denser(batch: &Batch, cells: usize, reach_m: f32, seed: u64) -> anyhow::Resul
         if occupied.len() >= cells {
             break;
         }
-        let copy = at.map(|at| at + scatter.sample(&mut rng));
+        let mut copied = |at| at + scatter.sample(&mut rng);
+        let copy = BodyPoint { x_m: copied(at.x_m), y_m: copied(at.y_m) };
         occupied.extend(cell(copy, reach_m));
         denser.points.push(copy);
     }
@@ -99,6 +101,7 @@ fn denser(batch: &Batch, cells: usize, reach_m: f32, seed: u64) -> anyhow::Resul
 }
 
 /// The cell of a point; `None` beyond reach.
-fn cell([x, y]: [f32; 2], reach_m: f32) -> Option<[i32; 2]> {
-    (x.hypot(y) <= reach_m).then(|| [x, y].map(|at| (f64::from(at) / CELL_M).floor() as i32))
+fn cell(point: BodyPoint, reach_m: f32) -> Option<[i32; 2]> {
+    let BodyPoint { x_m, y_m } = point;
+    (x_m.hypot(y_m) <= reach_m).then(|| [x_m, y_m].map(|at| (f64::from(at) / CELL_M).floor() as i32))
 }

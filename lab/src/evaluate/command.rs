@@ -91,7 +91,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let windows = Windows::new(args.windows_mib);
     let bar = progress::bar("epochs", 0, json);
     let mut rows = Vec::new();
-    for index in 0..worlds.len() {
+    for index in 0..worlds.count() {
         let conditions = worlds.conditions(index, &conditions, plan.base);
         let world = worlds.world(index, &conditions, args.max_sigma_m)?;
         rows.extend(ask_all(&world, &conditions, &plan, &windows, &bar)?);

@@ -7,6 +7,7 @@ use echofix_core::doppler::dedrift::{OdometryBias, dedrifted};
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::geo::CellIndex;
 use echofix_core::odometry::Trajectory;
+use echofix_core::point::{BodyPoint, MapPoint};
 use echofix_core::pose::Pose2;
 use echofix_harness::prior::PriorSigma;
 use rand::SeedableRng;
@@ -134,7 +135,9 @@ pub fn ask(
 }
 
 fn occupied(batch: &Batch) -> usize {
-    let cells: BTreeSet<_> = batch.points.iter().map(|p| CellIndex::of(p.map(f64::from))).collect();
+    // Cells of the body's own plane.
+    let plane = |p: &BodyPoint| MapPoint::new(p.x_m.into(), p.y_m.into());
+    let cells: BTreeSet<_> = batch.points.iter().map(|p| CellIndex::of(plane(p))).collect();
     cells.len()
 }
 

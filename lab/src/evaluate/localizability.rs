@@ -7,6 +7,7 @@ use std::sync::Arc;
 use echofix_core::align::Search;
 use echofix_core::align::localizability::{Assessor, REACH_M};
 use echofix_core::align::verdict::Integrity;
+use echofix_core::point::MapPoint;
 use echofix_core::window::MapSquare;
 use echofix_server::locating::expected_word;
 use serde_json::{Value, json};
@@ -48,7 +49,7 @@ impl Forecaster {
         let Some(truth) = world.truth.at(epoch.time_us) else { return Ok(()) };
         let map = world.map(base.contributors, Movers::Excluded)?;
         let (search, integrity) = (Search::default(), Integrity::default());
-        let position = [truth.x_m, truth.y_m];
+        let position = MapPoint::of(&truth);
         let frame = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
         let tiles = self.windows.weights(map, frame);
         let here = self.assessor.assess(frame, &tiles, position, &search, &integrity);

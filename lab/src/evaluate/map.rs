@@ -77,6 +77,7 @@ impl RadarMap {
     }
 
     /// The same tiles, for others to be added to.
+    #[must_use]
     pub fn grown_from(&self, contributors: usize) -> Self {
         Self { key: MapKey { contributors, ..self.key }, ..self.clone() }
     }

@@ -15,6 +15,7 @@ use echofix_core::align::{Aligner, CorrelationWorkspace, EngineKind, Search, Tas
 use echofix_core::batch::Batch;
 use echofix_core::evidence::InverseSensorModel;
 use echofix_core::geo::TileId;
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::window::MapSquare;
 use echofix_server::locating::verdict_word;
@@ -157,7 +158,7 @@ impl Windows {
 
     fn frame(&self, map: &RadarMap, prior: &Prior) -> MapSquare {
         let search_m = self.search.sigmas * prior.sigma_position_m;
-        MapSquare::around(map.zone(), [prior.pose.x_m, prior.pose.y_m], self.search.extent_m, search_m)
+        MapSquare::around(map.zone(), MapPoint::of(&prior.pose), self.search.extent_m, search_m)
     }
 
     /// The paper's occupancy grid around a prior, transformed.

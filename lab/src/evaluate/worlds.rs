@@ -43,7 +43,7 @@ impl Worlds {
     }
 
     /// How many.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         match self {
             Self::Simulated(all) => all.len(),
             Self::Logs { .. } => 1,
@@ -103,12 +103,12 @@ mod tests {
     #[test]
     fn streets_are_asked_the_headline_only() {
         let worlds = Worlds::simulated(&[5, 6, 7], &[5, 6, 7], false);
-        assert_eq!(worlds.len(), 3 + 2 * 4);
+        assert_eq!(worlds.count(), 3 + 2 * 4);
         let base = Condition::default();
         let all = [base, Condition { batch_s: 1.0, ..base }];
         assert_eq!(worlds.conditions(0, &all, base).len(), 2);
         assert_eq!(worlds.conditions(3, &all, base), [base]);
         assert_eq!(worlds.words(), "Simulated towns of the seeds 5, 6, 7.");
-        assert_eq!(Worlds::simulated(&[5, 6], &[5, 6], true).len(), 2 + 4);
+        assert_eq!(Worlds::simulated(&[5, 6], &[5, 6], true).count(), 2 + 4);
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use echofix_core::align::localizability::Expected;
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, Grid, LatLon, TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::pose::{Pose2, wrap_axis};
 use echofix_core::tile::Tile;
 use echofix_proto::v1::{ExpectedFix, FixStatus, GetCoverageRequest, GetCoverageResponse};
@@ -88,11 +89,11 @@ fn expected_at(
     at: LatLon,
 ) -> Result<Option<ExpectedFix>, Status> {
     let Ok(grid) = Grid::of(at) else { return Ok(None) };
-    let Ok([x_m, y_m]) = grid.project(at) else { return Ok(None) };
-    let id = TileId::of(grid.zone(), [x_m, y_m]);
+    let Ok(position) = grid.project(at) else { return Ok(None) };
+    let id = TileId::of(grid.zone(), position);
     let Some(tile) = expectations.tile(id).map_err(|error| status::store(&error))? else { return Ok(None) };
-    let fix = tile.at(id, [x_m, y_m]);
-    let axis = Pose2::new(x_m, y_m, fix.weak_direction_rad());
+    let fix = tile.at(id, position);
+    let axis = Pose2::new(position.x_m, position.y_m, fix.weak_direction_rad());
     let Ok((_, direction_rad)) = grid.pose_to_geodetic(&axis) else { return Ok(None) };
     let status = match expectations.verdict(fix) {
         Expected::Usable => FixStatus::Usable,
@@ -154,11 +155,11 @@ impl CoverageReader<'_> {
 }
 
 /// Counts a tile's cells whose centre lies within the radius.
-fn look(tile: &Tile, id: TileId, [x, y]: [f64; 2], seen: &mut PointCoverage) {
-    let ([x0, y0], side) = (id.origin(), CELLS_PER_TILE as u32);
+fn look(tile: &Tile, id: TileId, centre: MapPoint, seen: &mut PointCoverage) {
+    let (corner, side) = (id.origin(), CELLS_PER_TILE as u32);
     for (index, cell) in tile.cells() {
-        let east = x0 + (f64::from(index % side) + 0.5) * CELL_M - x;
-        let north = y0 + (f64::from(index / side) + 0.5) * CELL_M - y;
+        let east = corner.x_m + (f64::from(index % side) + 0.5) * CELL_M - centre.x_m;
+        let north = corner.y_m + (f64::from(index / side) + 0.5) * CELL_M - centre.y_m;
         if east * east + north * north <= RADIUS_M * RADIUS_M {
             seen.cells += 1;
             seen.newest_day = seen.newest_day.max(cell.last_day);

@@ -32,8 +32,8 @@ fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
     let grid = Grid::new(id.zone)?;
     let spots = tile.spots().map(|(column, row, expected)| {
         let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / SPOTS_PER_SIDE as f64);
-        let origin = id.origin();
-        let pose = Pose2::new(origin[0] + middle[0], origin[1] + middle[1], expected.weak_direction_rad());
+        let at = id.origin().moved(middle[0], middle[1]);
+        let pose = Pose2::new(at.x_m, at.y_m, expected.weak_direction_rad());
         let (at, direction_rad) = grid.pose_to_geodetic(&pose)?;
         Ok(json!({
             "longitude_deg": at.lon_deg,

@@ -91,9 +91,8 @@ mod tests {
     /// The map tile at a zoom that shows a cell of the Austin tile, and the pixel of its centre.
     fn tile_and_pixel(z: u8, cell: u32) -> (String, [usize; 2]) {
         let id = austin();
-        let [x0, y0] = id.origin();
-        let centre =
-            [x0 + (f64::from(cell % 512) + 0.5) * CELL_M, y0 + (f64::from(cell / 512) + 0.5) * CELL_M];
+        let (column, row) = (f64::from(cell % 512), f64::from(cell / 512));
+        let centre = id.origin().moved((column + 0.5) * CELL_M, (row + 0.5) * CELL_M);
         let at = Grid::new(id.zone).unwrap().unproject(centre).unwrap();
         // The textbook formula, written out here on its own.
         let n = f64::from(1_u32 << z);

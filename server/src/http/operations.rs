@@ -9,6 +9,7 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use echofix_core::datum::Offset;
 use echofix_core::geo::{Grid, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::{Alarm, AlarmKind, AlarmLimits, alarms};
 use serde::Deserialize;
@@ -96,7 +97,7 @@ fn quarantined(quarantined: &QuarantinedRecord) -> Value {
     let upload = &quarantined.upload;
     json!({
         "epoch": quarantined.number, "reason": reason, "date": iso_date(upload.day),
-        "place": position_json(upload.zone, upload.place), "offset": upload.offset.as_ref().map(offset),
+        "place": position_json(upload.zone, upload.position), "offset": upload.offset.as_ref().map(offset),
     })
 }
 
@@ -107,7 +108,7 @@ fn alarm(alarm: &Alarm) -> Value {
     };
     json!({
         "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
-        "place": position_json(alarm.zone, alarm.place),
+        "place": position_json(alarm.zone, alarm.position),
     })
 }
 
@@ -116,9 +117,9 @@ fn offset(offset: &Offset) -> Value {
     json!({ "east_m": pose.x_m, "north_m": pose.y_m, "yaw_deg": pose.yaw_rad.to_degrees() })
 }
 
-/// WGS-84 degrees of map metres; nothing where the zone does not reach.
-fn position_json(zone: Zone, [x_m, y_m]: [f64; 2]) -> Value {
-    let at = Grid::new(zone).and_then(|grid| grid.unproject([x_m, y_m]));
+/// WGS-84 degrees of a point; nothing where the zone does not reach.
+fn position_json(zone: Zone, point: MapPoint) -> Value {
+    let at = Grid::new(zone).and_then(|grid| grid.unproject(point));
     at.map_or(Value::Null, |at| json!({ "lat": at.lat_deg, "lon": at.lon_deg }))
 }
 

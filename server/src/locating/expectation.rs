@@ -9,6 +9,7 @@ use echofix_core::align::Search;
 use echofix_core::align::localizability::{Assessor, Expected, Localizability, REACH_M};
 use echofix_core::align::verdict::Integrity;
 use echofix_core::geo::{CELLS_PER_TILE, TILE_M, TileId};
+use echofix_core::point::MapPoint;
 use echofix_core::window::MapSquare;
 use moka::sync::Cache;
 
@@ -47,12 +48,12 @@ impl TileExpectation {
         self.spots.iter().enumerate().map(|(i, spot)| (i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE, spot))
     }
 
-    /// What can be expected at the spot that stands for map metres in the tile.
+    /// What can be expected at the spot that stands for a position in the tile.
     #[must_use]
-    pub fn at(&self, id: TileId, at: [f64; 2]) -> &Localizability {
+    pub fn at(&self, id: TileId, at: MapPoint) -> &Localizability {
         let origin = id.origin();
-        let index = |axis: usize| (((at[axis] - origin[axis]) / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
-        &self.spots[index(1) * SPOTS_PER_SIDE + index(0)]
+        let index = |along_m: f64| ((along_m / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
+        &self.spots[index(at.y_m - origin.y_m) * SPOTS_PER_SIDE + index(at.x_m - origin.x_m)]
     }
 }
 
@@ -107,7 +108,7 @@ impl Expectations {
         let origin = id.origin();
         let spots = std::array::from_fn(|i| {
             let middle = [i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE].map(|step| (step as f64 + 0.5) * SPOT_M);
-            let at = [origin[0] + middle[0], origin[1] + middle[1]];
+            let at = origin.moved(middle[0], middle[1]);
             assessor.assess(frame, &found.tiles, at, &self.search, &self.integrity)
         });
         let version = key.versions.iter().copied().max().unwrap_or_default();

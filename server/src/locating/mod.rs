@@ -16,6 +16,7 @@ use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
 use echofix_core::geo::{self, Grid, LatLon, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
@@ -335,7 +336,7 @@ impl Locator {
     fn frame(&self, grid: &Grid, prior: &Prior) -> MapSquare {
         let search = self.config.search();
         let reach_m = search.sigmas * prior.sigma_position_m;
-        MapSquare::around(grid.zone(), [prior.pose.x_m, prior.pose.y_m], search.extent_m, reach_m)
+        MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m)
     }
 
     /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search

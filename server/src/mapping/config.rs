@@ -88,7 +88,7 @@ impl MappingConfig {
     #[must_use]
     pub fn policy(&self) -> Policy {
         let (shift_m, yaw_rad) = (self.vet_shift_m, self.vet_turn_deg.to_radians());
-        let limits = vetting::Limits { shift_m, yaw_rad, ..vetting::Limits::default() };
+        let limits = vetting::VettingLimits { shift_m, yaw_rad, ..vetting::VettingLimits::default() };
         Policy {
             publish_contributors: self.publish_contributors,
             decay: Some(Decay { half_life_days: self.half_life_days, expire_days: self.expire_days }),

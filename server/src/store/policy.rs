@@ -9,7 +9,7 @@ mod legacy;
 use std::hash::Hasher;
 
 use echofix_core::tile::{Decay, Tile};
-use echofix_core::vetting::Limits;
+use echofix_core::vetting::VettingLimits;
 use siphasher::sip::SipHasher24;
 
 /// To be raised with every change of what folding makes of the same journal under the same policy, be it by a byte of the
@@ -25,7 +25,7 @@ pub struct Policy {
     /// the newest day of the map: it needs no clock, and maps of recorded drives do not fade.
     pub decay: Option<Decay>,
     /// How far an upload may be off the map that exists; without, everything counts.
-    pub vetting: Option<Limits>,
+    pub vetting: Option<VettingLimits>,
 }
 
 impl Policy {

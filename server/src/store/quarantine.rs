@@ -8,6 +8,7 @@
 
 use echofix_core::datum::Offset;
 use echofix_core::geo::Zone;
+use echofix_core::point::MapPoint;
 use echofix_core::varint::{VarintReader, VarintWriter};
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::QuarantinedUpload;
@@ -30,7 +31,7 @@ pub(super) fn encode(quarantined: &QuarantinedRecord) -> Vec<u8> {
     let QuarantinedRecord { number, reason, upload } = quarantined;
     let mut out = VarintWriter { bytes: vec![0; SUM] };
     out.put(u64::from(upload.zone.epsg()));
-    for metres in upload.place {
+    for metres in [upload.position.x_m, upload.position.y_m] {
         out.put_signed((metres * 1e3).round() as i64);
     }
     out.put(u64::from(upload.day));
@@ -54,7 +55,7 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<QuarantinedRecord> {
     let mut input = VarintReader { rest: sealed(value, key)? };
     let zone = Zone::from_epsg(input.get()?).ok()?;
     let mut metres = || Some(input.get_signed::<i64>()? as f64 * 1e-3);
-    let place = [metres()?, metres()?];
+    let position = MapPoint::new(metres()?, metres()?);
     let day = input.get()?;
     let reason = match input.get::<u8>()? {
         0 => Reason::Shifted,
@@ -66,7 +67,7 @@ pub(super) fn decode(key: &[u8], value: &[u8]) -> Option<QuarantinedRecord> {
     let offset =
         Offset { east_mm: input.get_signed()?, north_mm: input.get_signed()?, yaw_urad: input.get_signed()? };
     let contributor = u64::from_le_bytes(input.rest.try_into().ok()?);
-    let upload = QuarantinedUpload { zone, place, offset: known.then_some(offset), contributor, day };
+    let upload = QuarantinedUpload { zone, position, offset: known.then_some(offset), contributor, day };
     Some(QuarantinedRecord { number, reason, upload })
 }
 
@@ -83,14 +84,14 @@ mod tests {
             at: prop::sample::Index, bit in 0..8_u8,
         ) {
             let offset = offset.map(|(e, n, y)| Offset { east_mm: e.into(), north_mm: n.into(), yaw_urad: y.into() });
-            let place = place.map(|m| (m * 1e3).round() * 1e-3);
+            let position = MapPoint::from(place.map(|m| (m * 1e3).round() * 1e-3));
             let zone = Zone::from_epsg(32614).unwrap();
             let reason = [Reason::Shifted, Reason::Rotated, Reason::Disagrees][reason];
-            let note = QuarantinedRecord { number, reason, upload: QuarantinedUpload { zone, place, offset, contributor, day } };
+            let note = QuarantinedRecord { number, reason, upload: QuarantinedUpload { zone, position, offset, contributor, day } };
             let (key, mut value) = (key(number), encode(&note));
             let back = decode(&key, &value).unwrap();
-            prop_assert!(back.upload.place.iter().zip(place).all(|(a, b)| (a - b).abs() < 1e-6));
-            prop_assert_eq!(QuarantinedRecord { upload: QuarantinedUpload { place, ..back.upload }, ..back }, note);
+            prop_assert!(back.upload.position.distance_m(position) < 1e-6);
+            prop_assert_eq!(QuarantinedRecord { upload: QuarantinedUpload { position, ..back.upload }, ..back }, note);
             let at = at.index(value.len());
             value[at] ^= 1 << bit;
             prop_assert_eq!(decode(&key, &value), None);

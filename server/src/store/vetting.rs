@@ -7,10 +7,11 @@ use std::sync::Arc;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::datum::{Datum, Offset};
 use echofix_core::evidence::{EvidenceDelta, TileEvidence};
-use echofix_core::geo::{TILE_M, TileId, Zone};
+use echofix_core::geo::{TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_core::vetting::alarm::QuarantinedUpload;
 use echofix_core::vetting::{
-    Limits, MapSide, Offsets, Reason, Vetted, Vetter, has_other_contributors, moved_evidence,
+    MapSide, Offsets, Reason, Vetted, Vetter, VettingLimits, has_other_contributors, moved_evidence,
 };
 
 use super::write_buffer::{Folded, WriteBuffer};
@@ -42,13 +43,13 @@ pub(super) enum VettingOutcome {
 /// Buffers and prepared tiles that pass from one upload to the next.
 pub(super) struct Vetting {
     /// Without limits nothing is vetted.
-    limits: Option<Limits>,
+    limits: Option<VettingLimits>,
     vetter: Vetter,
     prepared: HashMap<(TileId, [u64; 9]), Arc<TileWeights>>,
 }
 
 impl Vetting {
-    pub(super) fn new(limits: Option<Limits>) -> Self {
+    pub(super) fn new(limits: Option<VettingLimits>) -> Self {
         Self { limits, vetter: Vetter::default(), prepared: HashMap::new() }
     }
 
@@ -84,8 +85,8 @@ impl Vetting {
                     counts.extend(moved_evidence(&evidence_by_tile, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
-                    let (place, day) = (middle(&evidence_by_tile), upload.pass.day);
-                    let upload = QuarantinedUpload { zone, place, offset, contributor, day };
+                    let (position, day) = (middle(&evidence_by_tile), upload.pass.day);
+                    let upload = QuarantinedUpload { zone, position, offset, contributor, day };
                     return Ok(VettingOutcome::Quarantined(QuarantinedRecord { number, reason, upload }));
                 }
             }
@@ -102,16 +103,14 @@ fn by_zone(contribution: &EvidenceDelta) -> BTreeMap<Zone, Vec<(TileId, &TileEvi
     zones
 }
 
-/// Map metres of the middle of the tiles, each counting by its cells.
-fn middle(evidence_by_tile: &[(TileId, &TileEvidence)]) -> [f64; 2] {
+/// The middle of the tiles, each counting by its cells.
+fn middle(evidence_by_tile: &[(TileId, &TileEvidence)]) -> MapPoint {
     let cells: usize = evidence_by_tile.iter().map(|(_, evidence)| evidence.cells.len()).sum();
-    let weighted = |axis: usize| {
-        let at = |(id, evidence): &(TileId, &TileEvidence)| {
-            (id.origin()[axis] + 0.5 * TILE_M) * evidence.cells.len() as f64
-        };
+    let weighted = |along: fn(MapPoint) -> f64| {
+        let at = |(id, evidence): &(TileId, &TileEvidence)| along(id.centre()) * evidence.cells.len() as f64;
         evidence_by_tile.iter().map(at).sum::<f64>() / cells.max(1) as f64
     };
-    [weighted(0), weighted(1)]
+    MapPoint::new(weighted(|p| p.x_m), weighted(|p| p.y_m))
 }
 
 /// The map without what only the upload's own contributor contributed.

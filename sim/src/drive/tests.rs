@@ -3,6 +3,7 @@ use std::collections::BTreeSet;
 use echofix_core::gate::Gate;
 use echofix_core::geo::CellIndex;
 use echofix_core::odometry::Trajectory;
+use echofix_core::point::MapPoint;
 use echofix_core::pose::wrap_angle;
 
 use super::*;
@@ -23,7 +24,7 @@ fn truth(city: &City, drive: &Drive) -> Trajectory {
     let grid = Grid::new(city.site().zone()).unwrap();
     let pose = |p: &GeoPose| {
         let pose = grid.pose_from_geodetic(p.at, p.yaw_rad).unwrap();
-        let [x_m, y_m] = city.site().from_map([pose.x_m, pose.y_m]);
+        let [x_m, y_m] = city.site().from_map(MapPoint::of(&pose));
         (p.time_us, Pose2::new(x_m, y_m, pose.yaw_rad))
     };
     Trajectory::new(drive.truth.iter().map(pose)).unwrap()
@@ -200,7 +201,7 @@ fn the_reference_errs_as_its_sigmas_say() {
         for (believed, true_pose) in drive.reference.iter().zip(&drive.truth) {
             assert!((believed.sigma_position_m - 0.1).abs() < 1e-12 && true_pose.sigma_position_m == 0.0);
             let (b, t) = (grid.project(believed.at).unwrap(), grid.project(true_pose.at).unwrap());
-            squares[0] += 0.5 * dot(sub(b, t), sub(b, t));
+            squares[0] += 0.5 * b.distance_m(t).powi(2);
             squares[1] += wrap_angle(believed.yaw_rad - true_pose.yaw_rad).powi(2);
             count += 1.0;
         }
@@ -226,7 +227,7 @@ fn a_batch_of_five_seconds_fills_some_thousand_cells() {
             slowest_mps = slowest_mps.min(drive.odometry.velocity_at(scan.time_us).unwrap().speed_mps());
             let sensor = drive.odometry.at(scan.time_us).unwrap().compose(&drive.mounts[scan.sensor]);
             for row in (0..scan.len()).filter(|row| f64::from(scan.range_m[*row]) < gate.max_range_m) {
-                cells.insert(CellIndex::of(sensor.transform(scan.sensor_point(row))));
+                cells.insert(CellIndex::of(sensor.transform(scan.sensor_point(row)).into()));
             }
         }
         if slowest_mps > 4.0 {

@@ -72,6 +72,6 @@ fn table(summary: &FixSummary) {
         "\nanswers              {:8} asked, {usable:.1} % usable: {:?}",
         summary.asked, summary.outcomes
     );
-    println!("beyond protection    {:8} of the usable answers", summary.beyond_protection);
+    println!("beyond protection    {:8} of the usable answers, heading included", summary.beyond_protection);
     println!("not asked            {:?} (standing: radar at rest is mostly clutter)", summary.not_asked);
 }

@@ -112,7 +112,7 @@ proptest! {
             (Some(a), Some(b)) => {
                 let grid = Grid::of(START).unwrap();
                 let [p, q] = [a, b].map(|e| grid.project(e.pose.at).unwrap());
-                prop_assert!((p[0] - q[0]).hypot(p[1] - q[1]) < 1e-5, "{a:?} {b:?}");
+                prop_assert!(p.distance_m(q) < 1e-5, "{a:?} {b:?}");
                 prop_assert!((a.pose.sigma_position_m - b.pose.sigma_position_m).abs() < 1e-6);
                 prop_assert_eq!(a.contradicting, b.contradicting);
             }

@@ -63,7 +63,7 @@ fn error_m(filter: &Filter, seconds: f64) -> [f64; 2] {
     let grid = Grid::of(START).unwrap();
     let [a, b] =
         [filter.pose().unwrap().pose.at, position(seconds, [0.0; 2])].map(|at| grid.project(at).unwrap());
-    [a[0] - b[0], a[1] - b[1]]
+    [a.x_m - b.x_m, a.y_m - b.y_m]
 }
 
 #[test]

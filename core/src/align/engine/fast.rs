@@ -13,6 +13,7 @@ use super::{Candidate, Engine, EngineWorkspace, SearchQuestion};
 use crate::align::simd::{Isa, Strips};
 use crate::align::view::ImageView;
 use crate::geo::CELL_M;
+use crate::point::WeightedPoint;
 use crate::pose::Pose2;
 
 /// Shifts to a strip where all are scanned: the bytes of a 256-bit register. It changes the time, not the
@@ -131,7 +132,7 @@ impl FastBuffers {
         for turn in -turns..=turns {
             let turn = turn * step as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
-            let points = question.thinned.iter().step_by(stride).map(|[x, y, _]| [*x, *y]);
+            let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
             question.projection(image, lag).pixel_indices(self.isa, at, points, &mut self.pixels);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
@@ -217,7 +218,7 @@ impl FastBuffers {
         let pixel_m = image.cells as f64 * CELL_M;
         let turn = (from.yaw_rad / yaw_step).round() as i32;
         let stride = question.thinned.len().div_ceil(SHARPENED).max(1);
-        let points = question.thinned.iter().step_by(stride).map(|[x, y, _]| [*x, *y]);
+        let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
         let mut sums = [[0_u32; NARROW]; NARROW];
         let mut highest = 0;
         for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {

@@ -8,6 +8,7 @@ use crate::align::view::{ImageView, MapView};
 use crate::align::weights::STEPS;
 use crate::align::{Prior, Search};
 use crate::batch::Batch;
+use crate::point::WeightedPoint;
 use crate::pose::Pose2;
 
 /// Where in the search around the prior is the batch on the map?
@@ -17,9 +18,8 @@ pub struct SearchQuestion<'a> {
     pub view: &'a MapView,
     /// The batch.
     pub batch: &'a Batch,
-    /// The batch, thinned (see [`crate::align::thin`]): ground metres in the body's frame, and the vote of
-    /// each point.
-    pub thinned: &'a [[f32; 3]],
+    /// The batch, thinned (see [`crate::align::thin`]).
+    pub thinned: &'a [WeightedPoint],
     /// The rough pose.
     pub prior: &'a Prior,
     /// How to search.
@@ -34,7 +34,7 @@ impl<'a> SearchQuestion<'a> {
     pub fn new(
         view: &'a MapView,
         batch: &'a Batch,
-        thinned: &'a [[f32; 3]],
+        thinned: &'a [WeightedPoint],
         prior: &'a Prior,
         search: &'a Search,
     ) -> Self {

@@ -7,6 +7,7 @@ use super::{Candidate, Engine, EngineWorkspace, SearchQuestion};
 use crate::align::fft2::Fft2;
 use crate::align::projection::DistinctPixels;
 use crate::align::simd::Isa;
+use crate::point::MapPoint;
 
 /// How the batch is turned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,8 +48,7 @@ impl Reference {
 }
 
 fn prior_cell(question: &SearchQuestion) -> [usize; 2] {
-    let prior = question.prior.pose;
-    question.view.square().to_cells([prior.x_m, prior.y_m]).map(|c| c as usize)
+    question.view.square().to_cells(MapPoint::of(&question.prior.pose)).map(|c| c as usize)
 }
 
 impl Engine for Reference {

@@ -14,6 +14,7 @@ use crate::align::{Prior, Search};
 use crate::batch::Batch;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CellIndex, TileId, Zone};
+use crate::point::{BodyPoint, MapPoint, WeightedPoint};
 use crate::tile::Tile;
 use crate::window::MapSquare;
 
@@ -23,7 +24,7 @@ const EXTENT_M: f64 = 6.0;
 struct Scene {
     view: MapView,
     batch: Batch,
-    thinned: Vec<[f32; 3]>,
+    thinned: Vec<WeightedPoint>,
     prior: Prior,
     search: Search,
 }
@@ -33,13 +34,14 @@ impl Scene {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let zone = Zone::from_epsg(32614).unwrap();
         // Near a corner of a tile, so that several tiles are assembled.
+        let corner = TileId::of(zone, MapPoint::new(600_020.0, 3_300_020.0)).origin();
         let truth = Pose2::new(
-            TileId::of(zone, [600_020.0, 3_300_020.0]).origin()[0] + rng.random_range(-3.0..3.0),
-            TileId::of(zone, [600_020.0, 3_300_020.0]).origin()[1] + rng.random_range(-3.0..3.0),
+            corner.x_m + rng.random_range(-3.0..3.0),
+            corner.y_m + rng.random_range(-3.0..3.0),
             rng.random_range(-3.0..3.0),
         );
         let structure = structure(&mut rng);
-        let on_map: Vec<_> = structure.iter().map(|p| truth.transform(*p)).collect();
+        let on_map: Vec<_> = structure.iter().map(|p| truth.transform(*p).into()).collect();
         let prior = Prior {
             pose: Pose2::new(
                 truth.x_m + rng.random_range(-0.8..0.8),
@@ -51,12 +53,12 @@ impl Scene {
             scale: 0.9997,
         };
         let search = Search { extent_m: EXTENT_M, ..Search::default() };
-        let square = MapSquare::around(zone, [prior.pose.x_m, prior.pose.y_m], EXTENT_M, 0.9);
+        let square = MapSquare::around(zone, MapPoint::of(&prior.pose), EXTENT_M, 0.9);
         let mut view = MapView::default();
         view.assemble(square, &weights(&square, &on_map));
         let seen = structure.iter().filter(|_| rng.random_bool(0.7)).copied().collect::<Vec<_>>();
-        let noisy = seen.iter().map(|p| p.map(|v| (v + rng.random_range(-0.15..0.15)) as f32));
-        let points: Vec<[f32; 2]> = noisy.collect();
+        let mut noisy = |v: f64| (v + rng.random_range(-0.15..0.15)) as f32;
+        let points: Vec<_> = seen.iter().map(|[x, y]| BodyPoint::new(noisy(*x), noisy(*y))).collect();
         let mut thinned = Vec::new();
         Thinner::default().thin(&points, EXTENT_M as f32, 0.4, &mut thinned);
         Self { view, batch: Batch { points, ..Batch::default() }, thinned, prior, search }
@@ -82,7 +84,7 @@ fn structure(rng: &mut ChaCha8Rng) -> Vec<[f64; 2]> {
     points
 }
 
-fn weights(square: &MapSquare, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
+fn weights(square: &MapSquare, points: &[MapPoint]) -> Vec<Arc<TileWeights>> {
     let tile = |id: TileId| {
         let mut cells = std::collections::BTreeMap::<u32, Cell>::new();
         for point in points.iter().filter(|p| TileId::of(square.zone, **p) == id) {
@@ -92,8 +94,8 @@ fn weights(square: &MapSquare, points: &[[f64; 2]]) -> Vec<Arc<TileWeights>> {
             entry.passes = 1;
             entry.presence = crate::evidence::presence::ALWAYS;
             let fraction = |v: f64, c: i64| (((v / CELL_M) - c as f64) * 256.0) as u32;
-            entry.offset_sum[0] += fraction(point[0], cell.x).min(255);
-            entry.offset_sum[1] += fraction(point[1], cell.y).min(255);
+            entry.offset_sum[0] += fraction(point.x_m, cell.x).min(255);
+            entry.offset_sum[1] += fraction(point.y_m, cell.y).min(255);
         }
         Tile::from_cells(cells.into_iter().collect()).unwrap()
     };

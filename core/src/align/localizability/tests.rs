@@ -7,14 +7,14 @@ use crate::tile::Tile;
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 
-const PLACE: [f64; 2] = [600_025.0, 3_300_021.0];
+const PLACE: MapPoint = MapPoint::new(600_025.0, 3_300_021.0);
 
 /// A map of hits at offsets from the position.
 fn map(hits: impl IntoIterator<Item = [f64; 2]>) -> (MapSquare, Vec<Arc<TileWeights>>) {
     let zone = Zone::from_epsg(32614).unwrap();
     let mut tiles = BTreeMap::<TileId, BTreeMap<u32, Cell>>::new();
     for [x, y] in hits {
-        let (id, index) = TileId::locate(zone, CellIndex::of([PLACE[0] + x, PLACE[1] + y]));
+        let (id, index) = TileId::locate(zone, CellIndex::of(PLACE.moved(x, y)));
         let cell = tiles.entry(id).or_default().entry(index).or_default();
         (cell.hits, cell.passes, cell.contributors) = (cell.hits + 1, 1, 1);
         cell.presence = presence::ALWAYS;
@@ -102,6 +102,6 @@ fn the_same_tiles_give_the_same_bits_whatever_was_asked_before() {
     let (search, integrity) = (Search::default(), Integrity::default());
     let mut used = Assessor::default();
     let first = used.assess(square, &tiles, PLACE, &search, &integrity);
-    used.assess(square, &tiles, [PLACE[0] + 3.0, PLACE[1]], &search, &integrity);
+    used.assess(square, &tiles, PLACE.moved(3.0, 0.0), &search, &integrity);
     assert_eq!(used.assess(square, &tiles, PLACE, &search, &integrity), first);
 }

@@ -3,15 +3,16 @@
 use super::*;
 use crate::geo::Zone;
 use crate::once::tiles_of;
+use crate::point::MapPoint;
 use crate::pose::Pose2;
 
-const MIDDLE: [f64; 2] = [600_010.0, 3_300_020.0];
+const MIDDLE: MapPoint = MapPoint::new(600_010.0, 3_300_020.0);
 const REACH_M: f64 = 10.0;
 
 /// Offsets of posts from the middle: the R2 sequence, which has no pattern a search could lock to.
-fn posts() -> Vec<[f32; 2]> {
+fn posts() -> Vec<BodyPoint> {
     let along = |i: i32, step: f32| 16.0 * ((0.5 + step * i as f32).fract() - 0.5);
-    (0..300).map(|i| [along(i, 0.754_877_7), along(i, 0.569_840_3)]).collect()
+    (0..300).map(|i| BodyPoint::new(along(i, 0.754_877_7), along(i, 0.569_840_3))).collect()
 }
 
 /// Returns these corrections as candidates.
@@ -42,12 +43,11 @@ fn candidate(correction: Pose2) -> Candidate {
 /// A pipeline whose map and points are ready, around a prior that is right.
 fn ready() -> (Pipeline, Prior, Search) {
     let zone = Zone::from_epsg(32614).expect("a zone of UTM");
-    let on_map: Vec<_> =
-        posts().iter().map(|[x, y]| [MIDDLE[0] + f64::from(*x), MIDDLE[1] + f64::from(*y)]).collect();
+    let on_map: Vec<_> = posts().iter().map(|p| MIDDLE.moved(f64::from(p.x_m), f64::from(p.y_m))).collect();
     let tiles = tiles_of(zone, &on_map, MIDDLE, 100.0).expect("posts have positions");
     let weights: Vec<_> =
         tiles.keys().map(|id| Arc::new(TileWeights::new(*id, |at| tiles.get(&at)))).collect();
-    let pose = Pose2::new(MIDDLE[0], MIDDLE[1], 0.0);
+    let pose = Pose2::new(MIDDLE.x_m, MIDDLE.y_m, 0.0);
     let prior = Prior { pose, sigma_position_m: 1.0, sigma_yaw_rad: 0.02, scale: 1.0 };
     let search = Search { extent_m: REACH_M, ..Search::default() };
     let mut pipeline = Pipeline::default();
@@ -88,7 +88,7 @@ fn a_ranking_answers_what_verdicts_rest_on() {
     assert!(elsewhere.correction.distance_m(&far) < 1.0 && elsewhere.score < best.score);
     let background = ranking.background(3.0);
     assert!(background > 0.0 && 1.5 * background < best.score, "{background} {best:?}");
-    let west = ranking.fraction(&prior.pose, |[x, _]| x < MIDDLE[0]);
+    let west = ranking.fraction(&prior.pose, |point| point.x_m < MIDDLE.x_m);
     assert!((0.4..0.6).contains(&west), "{west}");
     assert!((ranking.fraction(&prior.pose, |_| true) - 1.0).abs() < 1e-12);
     let covariance = best.covariance(2.0);
@@ -100,8 +100,9 @@ fn a_ranking_answers_what_verdicts_rest_on() {
 #[test]
 fn points_are_replaced() {
     let (mut pipeline, ..) = ready();
-    pipeline.set_points([[1.0, 2.0, 1.0]]);
-    assert_eq!(pipeline.points(), [[1.0, 2.0, 1.0]]);
-    pipeline.thin(&[[0.0, 0.0], [0.01, 0.0], [50.0, 0.0]], REACH_M);
+    let one = WeightedPoint::new(1.0, 2.0, 1.0);
+    pipeline.set_points([one]);
+    assert_eq!(pipeline.points(), [one]);
+    pipeline.thin(&[0.0, 0.01, 50.0].map(|x| BodyPoint::new(x, 0.0)), REACH_M);
     assert_eq!(pipeline.points().len(), 1);
 }

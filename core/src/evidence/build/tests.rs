@@ -1,5 +1,6 @@
 use crate::evidence::CellHits;
 use crate::geo::{CELL_M, LatLon, TileId};
+use crate::point::MapPoint;
 use proptest::prelude::*;
 
 use super::*;
@@ -30,11 +31,11 @@ fn built(upload: RawUpload) -> Result<BuiltEvidence, BuildError> {
     build_evidence(upload, &EvidenceLimits::default())
 }
 
-/// Map metres of all hits.
-fn hit_positions(built: &BuiltEvidence) -> Vec<[f64; 2]> {
+fn hit_positions(built: &BuiltEvidence) -> Vec<MapPoint> {
     let position = |id: &TileId, hit: &CellHits| {
-        let ([x, y], [fx, fy]) = (id.origin(), hit.centroid());
-        [x + (f64::from(hit.index % 512) + fx) * CELL_M, y + (f64::from(hit.index / 512) + fy) * CELL_M]
+        let [fx, fy] = hit.centroid();
+        let (column, row) = (f64::from(hit.index % 512), f64::from(hit.index / 512));
+        id.origin().moved((column + fx) * CELL_M, (row + fy) * CELL_M)
     };
     let tiles = built.delta.tiles.iter();
     tiles.flat_map(|(id, evidence)| evidence.cells.iter().map(|cell| position(id, cell))).collect()
@@ -48,10 +49,7 @@ fn what_is_twenty_metres_east_lands_twenty_metres_east() {
     let east =
         LatLon { lon_deg: AUSTIN.lon_deg + 20.0 / (111_320.0 * AUSTIN.lat_deg.to_radians().cos()), ..AUSTIN };
     let expected = grid.project(east).unwrap();
-    let nearest = hit_positions(&result)
-        .into_iter()
-        .map(|p| (p[0] - expected[0]).hypot(p[1] - expected[1]))
-        .fold(9e9, f64::min);
+    let nearest = hit_positions(&result).into_iter().map(|p| p.distance_m(expected)).fold(9e9, f64::min);
     // The degree of longitude above is good to a few centimetres here.
     assert!(nearest < 0.1, "{nearest}");
 }

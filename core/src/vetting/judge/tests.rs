@@ -11,10 +11,11 @@ use crate::align::weights::TileWeights;
 use crate::datum::Datum;
 use crate::evidence::{Cell, CellHits, presence};
 use crate::geo::{CELL_M, CellIndex, Zone};
+use crate::point::MapPoint;
 use crate::tile::Tile;
 use crate::vetting::moved;
 
-const MIDDLE: [f64; 2] = [600_060.0, 3_300_030.0];
+const MIDDLE: MapPoint = MapPoint::new(600_060.0, 3_300_030.0);
 
 type Cells = BTreeMap<TileId, Vec<CellHits>>;
 
@@ -50,15 +51,15 @@ fn seen(points: &[[f64; 2]], off: Pose2, noise: u64) -> Cells {
     for [x, y] in points.iter().chain(points).chain(points).chain(&clutter) {
         let noisy = [x + rng.random_range(-0.3..0.3), y + rng.random_range(-0.3..0.3)];
         let [x, y] = off.transform(noisy);
-        let place = [MIDDLE[0] + x, MIDDLE[1] + y];
-        let cell = CellIndex::of(place);
+        let position = MIDDLE.moved(x, y);
+        let cell = CellIndex::of(position);
         let (id, index) = TileId::locate(zone(), cell);
         let empty = CellHits { index, hits: 0, offset_sum: [0, 0] };
         let sum = tiles.entry(id).or_default().entry(index).or_insert(empty);
         sum.hits += 1;
         let steps = |value: f64, cell: i64| (((value / CELL_M - cell as f64) * 256.0) as u32).min(255);
-        sum.offset_sum[0] += steps(place[0], cell.x);
-        sum.offset_sum[1] += steps(place[1], cell.y);
+        sum.offset_sum[0] += steps(position.x_m, cell.x);
+        sum.offset_sum[1] += steps(position.y_m, cell.y);
     }
     tiles.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
 }
@@ -104,7 +105,7 @@ fn tile_hits(cells: &Cells) -> Vec<TileHits<'_>> {
 }
 
 fn vetted(cells: &Cells, map: &Map) -> Vetted {
-    Vetter::default().vet(&tile_hits(cells), map, &Limits::default())
+    Vetter::default().vet(&tile_hits(cells), map, &VettingLimits::default())
 }
 
 fn true_map() -> Map {

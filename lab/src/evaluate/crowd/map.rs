@@ -9,7 +9,7 @@ use echofix_core::evidence::TileEvidence;
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{Decay, Ledger, Tile};
 use echofix_core::vetting::{
-    Limits, MapSide, Offsets, Vetted, Vetter, has_other_contributors, moved_evidence,
+    MapSide, Offsets, Vetted, Vetter, VettingLimits, has_other_contributors, moved_evidence,
 };
 
 use super::uploads::VehicleUpload;
@@ -20,7 +20,7 @@ pub struct CrowdMap {
     zone: Zone,
     folded: FoldedMap,
     vetter: Vetter,
-    limits: Limits,
+    limits: VettingLimits,
 }
 
 /// What has been folded.
@@ -34,10 +34,16 @@ struct FoldedMap {
 impl CrowdMap {
     /// An empty one.
     pub fn new(zone: Zone) -> Self {
-        Self { zone, folded: FoldedMap::default(), vetter: Vetter::default(), limits: Limits::default() }
+        Self {
+            zone,
+            folded: FoldedMap::default(),
+            vetter: Vetter::default(),
+            limits: VettingLimits::default(),
+        }
     }
 
     /// A copy that grows on its own.
+    #[must_use]
     pub fn fork(&self) -> Self {
         let FoldedMap { tiles, ledgers, .. } = &self.folded;
         let folded = FoldedMap { tiles: tiles.clone(), ledgers: ledgers.clone(), prepared: Mutex::default() };

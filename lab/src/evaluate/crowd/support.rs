@@ -143,7 +143,7 @@ impl SupportVisit {
         while made_up.len() < MADE_UP {
             let pose = &drive.truth[rng.random_range(0..drive.truth.len())];
             let pose = grid.pose_from_geodetic(pose.at, pose.yaw_rad)?;
-            let at = pose.transform([0.0, rng.random_range(-LANES_M..LANES_M)]);
+            let at = pose.transform([0.0, rng.random_range(-LANES_M..LANES_M)]).into();
             if genuine.distance_m(at).is_none_or(|m| m > GENUINE_M) {
                 made_up.push(CellIndex::of(at));
             }

@@ -83,7 +83,7 @@ fn parts<'a>(
     let mut before = grid.project(poses[0].at)?;
     for (index, pose) in poses.iter().enumerate().skip(1) {
         let at = grid.project(pose.at)?;
-        way_m += (at[0] - before[0]).hypot(at[1] - before[1]);
+        way_m += at.distance_m(before);
         before = at;
         let full = pose.time_us - poses[from].time_us >= cut_after_us || way_m >= config.cut_after_m;
         if full || index + 1 == poses.len() {

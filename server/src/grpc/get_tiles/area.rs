@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 
 use echofix_core::geo::{self, Grid, LatLon, TILE_M, TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_proto::v1::GeodeticBox;
 use tonic::Status;
 
@@ -81,7 +82,7 @@ fn block(zone: Zone, area: &GeodeticBox) -> Result<TileBlock, geo::Error> {
     for (i, j) in (0..=SIDE).flat_map(|i| (0..=SIDE).map(move |j| (i, j))) {
         let lat_deg = step(area.south_deg, area.north_deg, i);
         let at = LatLon { lat_deg, lon_deg: step(area.west_deg, area.east_deg, j) };
-        let point = grid.project(at)?;
+        let point = <[f64; 2]>::from(grid.project(at)?);
         for axis in [0, 1] {
             low[axis] = low[axis].min(point[axis]);
             high[axis] = high[axis].max(point[axis]);
@@ -89,15 +90,16 @@ fn block(zone: Zone, area: &GeodeticBox) -> Result<TileBlock, geo::Error> {
     }
     // Between the points a large box bulges a little: one tile in a hundred is enough.
     let margin = [0, 1].map(|axis| TILE_M + 0.01 * (high[axis] - low[axis]));
-    let low = TileId::of(zone, [low[0] - margin[0], low[1] - margin[1]]);
-    let high = TileId::of(zone, [high[0] + margin[0], high[1] + margin[1]]);
+    let low = TileId::of(zone, MapPoint::new(low[0] - margin[0], low[1] - margin[1]));
+    let high = TileId::of(zone, MapPoint::new(high[0] + margin[0], high[1] + margin[1]));
     Ok((grid, low.x..=high.x, low.y..=high.y))
 }
 
 /// Does the tile lie in the box, even with a corner?
 fn touches(grid: &Grid, id: TileId, area: &GeodeticBox) -> bool {
-    let [x, y] = id.origin();
-    let corners = [[x, y], [x + TILE_M, y], [x, y + TILE_M], [x + TILE_M, y + TILE_M]];
+    let corner = id.origin();
+    let corners =
+        [corner, corner.moved(TILE_M, 0.0), corner.moved(0.0, TILE_M), corner.moved(TILE_M, TILE_M)];
     let Ok(corners) = corners.into_iter().map(|at| grid.unproject(at)).collect::<Result<Vec<_>, _>>() else {
         return false;
     };

@@ -2,6 +2,7 @@
 
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{CellIndex, Grid, LatLon, TileId};
+use echofix_core::point::{BodyPoint, MapPoint};
 use echofix_core::pose::Pose2;
 use echofix_core::tile::Tile;
 use echofix_sim::rng::{Purpose, normal, stream};
@@ -20,10 +21,10 @@ fn posts() -> Vec<[f64; 2]> {
 }
 
 /// A map of the posts around a position.
-fn map(grid: &Grid, [x, y]: [f64; 2]) -> FakeStore {
+fn map(grid: &Grid, position: MapPoint) -> FakeStore {
     let mut tiles = std::collections::BTreeMap::<TileId, std::collections::BTreeMap<u32, Cell>>::new();
     for [dx, dy] in posts() {
-        let (id, index) = TileId::locate(grid.zone(), CellIndex::of([x + dx, y + dy]));
+        let (id, index) = TileId::locate(grid.zone(), CellIndex::of(position.moved(dx, dy)));
         let middle = Cell {
             hits: 1,
             passes: 1,
@@ -48,7 +49,7 @@ fn service_and_request() -> (Localization, LocateRequest) {
     let locator = Arc::new(Locator::new(store, Config::load(&Sources::default()).unwrap().locating));
     let inner =
         Localization { answered: AtomicU64::new(0), locator, feed: Arc::default(), metrics: Arc::default() };
-    let points: Vec<_> = posts().iter().map(|post| post.map(|m| m as f32)).collect();
+    let points: Vec<_> = posts().iter().map(|[x, y]| BodyPoint::new(*x as f32, *y as f32)).collect();
     let batch = Batch { detections: points.len() as u64, points, speed_mps: 10.0, ..Batch::default() };
     let beside = Pose2::new(0.8, -0.6, 0.0);
     let truth = grid.pose_from_geodetic(AUSTIN, grid.convergence_rad(AUSTIN).unwrap()).unwrap();

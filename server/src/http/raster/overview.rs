@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use echofix_core::geo::{Grid, LatLon, TILE_M, TileId, Zone};
+use echofix_core::point::MapPoint;
 
 use super::view::mercator;
 use super::{Spot, View};
@@ -136,9 +137,9 @@ impl Gathered {
 /// The corners of a rectangle of tiles: south-west, south-east, north-east, north-west.
 pub fn corners(grid: &Grid, low: [i32; 2], high: [i32; 2]) -> Result<[LatLon; 4], Error> {
     let zone = grid.zone();
-    let [w, s] = TileId { zone, x: low[0], y: low[1] }.origin();
-    let [e, n] = TileId { zone, x: high[0] + 1, y: high[1] + 1 }.origin();
-    let at = |x, y| grid.unproject([x, y]);
+    let MapPoint { x_m: w, y_m: s } = TileId { zone, x: low[0], y: low[1] }.origin();
+    let MapPoint { x_m: e, y_m: n } = TileId { zone, x: high[0] + 1, y: high[1] + 1 }.origin();
+    let at = |x, y| grid.unproject(MapPoint::new(x, y));
     Ok([at(w, s)?, at(e, s)?, at(e, n)?, at(w, n)?])
 }
 

@@ -1,6 +1,7 @@
 //! A zone's evidence under a view, pooled by maximum.
 
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, TileId};
+use echofix_core::point::MapPoint;
 
 use super::Spot;
 
@@ -17,8 +18,9 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// An empty plane that covers map metres from `low` to `high`.
-    pub fn new(low: [f64; 2], high: [f64; 2], shift: u32) -> Self {
+    /// An empty plane that covers the map from `low` to `high`.
+    pub fn new(low: MapPoint, high: MapPoint, shift: u32) -> Self {
+        let (low, high) = (<[f64; 2]>::from(low), <[f64; 2]>::from(high));
         let block = |metres: f64| ((metres / CELL_M).floor() as i64) >> shift;
         // One more all around: a sample looks at its neighbours.
         let first = low.map(|m| block(m) - 1);
@@ -54,12 +56,12 @@ impl Plane {
         }
     }
 
-    /// What a pixel of width `pixel_m` around map metres shows.
+    /// What a pixel of width `pixel_m` around a point shows.
     ///
     /// Blocks no wider than a pixel are pooled two by two, so that no block falls between pixels.
-    pub fn sample(&self, [x_m, y_m]: [f64; 2], pixel_m: f64) -> Spot {
+    pub fn sample(&self, point: MapPoint, pixel_m: f64) -> Spot {
         let block_m = CELL_M * f64::from(1_u32 << self.shift);
-        let (u, v) = (x_m / block_m, y_m / block_m);
+        let (u, v) = (point.x_m / block_m, point.y_m / block_m);
         if block_m > pixel_m {
             return self.get([u.floor() as i64, v.floor() as i64]);
         }
@@ -98,13 +100,13 @@ mod tests {
     proptest! {
         #[test]
         fn no_cell_falls_between_pixels(column in 0..512_u32, row in 0..512_u32, pixel_m in 0.1..20.0_f64, dx in 0.0..1.0, dy in 0.0..1.0) {
-            let [x0, y0] = tile().origin();
-            let mut plane = Plane::new([x0, y0], [x0 + 51.2, y0 + 51.2], Plane::shift_for(pixel_m));
+            let corner = tile().origin();
+            let mut plane = Plane::new(corner, corner.moved(51.2, 51.2), Plane::shift_for(pixel_m));
             plane.add(tile(), 0, std::iter::once((column, row, SPOT)));
             // Pixels at any offset, along both axes.
             let n = (51.2 / pixel_m) as i32 + 2;
             let hit = (-1..n).flat_map(|j| (-1..n).map(move |i| (i, j))).any(|(i, j)| {
-                let at = [x0 + (f64::from(i) + dx) * pixel_m, y0 + (f64::from(j) + dy) * pixel_m];
+                let at = corner.moved((f64::from(i) + dx) * pixel_m, (f64::from(j) + dy) * pixel_m);
                 plane.sample(at, pixel_m) == SPOT
             });
             prop_assert!(hit);
@@ -113,13 +115,13 @@ mod tests {
 
     #[test]
     fn a_coarse_block_fills_the_finer_blocks_under_it() {
-        let [x0, y0] = tile().origin();
-        let mut plane = Plane::new([x0, y0], [x0 + 51.2, y0 + 51.2], 7);
+        let corner = tile().origin();
+        let mut plane = Plane::new(corner, corner.moved(51.2, 51.2), 7);
         plane.add(tile(), TILE_SHIFT, std::iter::once((0, 0, SPOT)));
         assert_eq!(plane.spots.iter().filter(|s| **s == SPOT).count(), 16);
-        assert_eq!(plane.sample([x0 + 0.1, y0 + 0.1], 1.0), SPOT);
-        assert_eq!(plane.sample([x0 - 0.1, y0 + 0.1], 1.0), Spot::NOTHING);
-        assert_eq!(plane.sample([x0 + 51.1, y0 + 51.1], 1.0), SPOT);
-        assert_eq!(plane.sample([x0 + 51.3, y0 + 51.1], 1.0), Spot::NOTHING);
+        assert_eq!(plane.sample(corner.moved(0.1, 0.1), 1.0), SPOT);
+        assert_eq!(plane.sample(corner.moved(-0.1, 0.1), 1.0), Spot::NOTHING);
+        assert_eq!(plane.sample(corner.moved(51.1, 51.1), 1.0), SPOT);
+        assert_eq!(plane.sample(corner.moved(51.3, 51.1), 1.0), Spot::NOTHING);
     }
 }

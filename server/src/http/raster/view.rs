@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use echofix_core::geo::{self, Grid, LatLon};
+use echofix_core::point::MapPoint;
 
 use crate::http::error::Error;
 
@@ -82,6 +83,7 @@ fn unmercator([x, y]: [f64; 2]) -> LatLon {
 
 /// A view's pixels on a zone's plane: projected at every eighth pixel, interpolated between.
 pub struct PixelGrid {
+    /// Easting and northing.
     nodes: Vec<[f64; 2]>,
     per_side: usize,
 }
@@ -95,31 +97,32 @@ impl PixelGrid {
         let per_side = view.side / STEP + 1;
         let node = |i: usize| {
             let (row, column) = (i / per_side, i % per_side);
-            grid.project(view.at((column * STEP) as f64, (row * STEP) as f64))
+            grid.project(view.at((column * STEP) as f64, (row * STEP) as f64)).map(Into::into)
         };
         let nodes = (0..per_side * per_side).map(node).collect::<Result<_, _>>()?;
         Ok(Self { nodes, per_side })
     }
 
-    /// Map metres of a point of the image.
-    pub fn at(&self, px: f64, py: f64) -> [f64; 2] {
+    /// Where a point of the image lies on the map.
+    pub fn at(&self, px: f64, py: f64) -> MapPoint {
         let (u, v) = (px / STEP as f64, py / STEP as f64);
         let last = self.per_side - 2;
         let (column, row) = ((u as usize).min(last), (v as usize).min(last));
         let (u, v) = (u - column as f64, v - row as f64);
         let node = |east: usize, south: usize| self.nodes[(row + south) * self.per_side + column + east];
         let [nw, ne, sw, se] = [node(0, 0), node(1, 0), node(0, 1), node(1, 1)];
-        [0, 1].map(|i| {
+        let between = |i: usize| {
             let north = nw[i] + u * (ne[i] - nw[i]);
             let south = sw[i] + u * (se[i] - sw[i]);
             north + v * (south - north)
-        })
+        };
+        MapPoint::new(between(0), between(1))
     }
 
-    /// The smallest rectangle of map metres around the image: its south-west and north-east corner.
-    pub fn bounds(&self) -> [[f64; 2]; 2] {
+    /// The smallest rectangle of the map around the image: its south-west and north-east corner.
+    pub fn bounds(&self) -> [MapPoint; 2] {
         let fold = |start: f64, pick: fn(f64, f64) -> f64| {
-            [0, 1].map(|axis| self.nodes.iter().map(|n| n[axis]).fold(start, pick))
+            MapPoint::from([0, 1].map(|axis| self.nodes.iter().map(|n| n[axis]).fold(start, pick)))
         };
         [fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max)]
     }
@@ -147,7 +150,7 @@ mod tests {
             let pixel_grid = PixelGrid::new(&view, &grid).unwrap();
             let exact = grid.project(view.at(px, py)).unwrap();
             let near = pixel_grid.at(px, py);
-            let error = (exact[0] - near[0]).hypot(exact[1] - near[1]);
+            let error = exact.distance_m(near);
             prop_assert!(error < 0.05, "{error} m at {view:?}");
         }
 

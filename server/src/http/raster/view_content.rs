@@ -4,6 +4,7 @@ use std::hash::Hasher;
 use std::sync::Arc;
 
 use echofix_core::geo::{Grid, TILE_M, TileId, Zone};
+use echofix_core::point::MapPoint;
 use siphasher::sip::SipHasher24;
 
 use super::plane::{Plane, TILE_SHIFT};
@@ -166,8 +167,8 @@ impl ZonePart {
 }
 
 /// Lifts the pixels along a tile's border, once tiles are wide enough to tell apart.
-fn bordered(spot: Spot, at: [f64; 2], pixel_m: f64) -> Spot {
-    let on_border = at.iter().any(|m| m.rem_euclid(TILE_M) < pixel_m);
+fn bordered(spot: Spot, at: MapPoint, pixel_m: f64) -> Spot {
+    let on_border = [at.x_m, at.y_m].iter().any(|m| m.rem_euclid(TILE_M) < pixel_m);
     let level = if on_border && TILE_M > BORDERED * pixel_m { 255 } else { spot.level };
     Spot { level, ..spot }
 }

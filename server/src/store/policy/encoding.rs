@@ -22,8 +22,8 @@
 use std::fmt::Write;
 
 use echofix_core::tile::Decay;
-use echofix_core::vetting::Limits;
-use echofix_core::vetting::matching::Probing;
+use echofix_core::vetting::VettingLimits;
+use echofix_core::vetting::matching::MatchingLimits;
 
 use super::Policy;
 
@@ -48,8 +48,8 @@ pub(super) fn encode(policy: &Policy, folding: u32) -> String {
 struct Lines(String);
 
 impl Lines {
-    fn vetting(&mut self, limits: &Limits) {
-        let Limits {
+    fn vetting(&mut self, limits: &VettingLimits) {
+        let VettingLimits {
             shift_m,
             yaw_rad,
             sigma_m,
@@ -57,7 +57,7 @@ impl Lines {
             min_coverage,
             known_coverage,
             min_contrast,
-            probing,
+            matching,
         } = limits;
         self.float("vetting.shift-m", *shift_m);
         self.float("vetting.yaw-rad", *yaw_rad);
@@ -66,30 +66,30 @@ impl Lines {
         self.float("vetting.min-coverage", *min_coverage);
         self.float("vetting.known-coverage", *known_coverage);
         self.float("vetting.min-contrast", *min_contrast);
-        self.probing(probing);
+        self.matching(matching);
     }
 
-    fn probing(&mut self, probing: &Probing) {
-        let Probing {
+    fn matching(&mut self, limits: &MatchingLimits) {
+        let MatchingLimits {
             extent_m,
             reach_m,
             reach_yaw_rad,
             min_points,
             score_temperature,
             temperature,
-            home_m,
-            home_yaw_rad,
+            near_m,
+            near_yaw_rad,
             min_margin,
             covered_within_m,
-        } = probing;
+        } = limits;
         self.float("probing.extent-m", *extent_m);
         self.float("probing.reach-m", *reach_m);
         self.float("probing.reach-yaw-rad", *reach_yaw_rad);
         self.integer("probing.min-points", *min_points as u64);
         self.float("probing.score-temperature", *score_temperature);
         self.float("probing.temperature", *temperature);
-        self.float("probing.home-m", *home_m);
-        self.float("probing.home-yaw-rad", *home_yaw_rad);
+        self.float("probing.home-m", *near_m);
+        self.float("probing.home-yaw-rad", *near_yaw_rad);
         self.float("probing.min-margin", *min_margin);
         self.float("probing.covered-within-m", *covered_within_m);
     }

@@ -2,8 +2,8 @@
 //! all, and only read: a manifest of the third format that holds its digest names the policy in force.
 
 use echofix_core::tile::Decay;
-use echofix_core::vetting::Limits;
-use echofix_core::vetting::matching::Probing;
+use echofix_core::vetting::VettingLimits;
+use echofix_core::vetting::matching::MatchingLimits;
 
 use super::Policy;
 
@@ -29,8 +29,8 @@ fn decay_text(decay: &Decay) -> String {
     format!("Decay {{ half_life_days: {half_life_days:?}, expire_days: {expire_days} }}")
 }
 
-fn limits_text(limits: &Limits) -> String {
-    let Limits {
+fn limits_text(limits: &VettingLimits) -> String {
+    let VettingLimits {
         shift_m,
         yaw_rad,
         sigma_m,
@@ -38,9 +38,9 @@ fn limits_text(limits: &Limits) -> String {
         min_coverage,
         known_coverage,
         min_contrast,
-        probing,
+        matching,
     } = limits;
-    let probing = probing_text(probing);
+    let probing = probing_text(matching);
     format!(
         "Limits {{ shift_m: {shift_m:?}, yaw_rad: {yaw_rad:?}, sigma_m: {sigma_m:?}, \
          sigma_yaw_rad: {sigma_yaw_rad:?}, min_coverage: {min_coverage:?}, known_coverage: {known_coverage:?}, \
@@ -48,23 +48,23 @@ fn limits_text(limits: &Limits) -> String {
     )
 }
 
-fn probing_text(probing: &Probing) -> String {
-    let Probing {
+fn probing_text(limits: &MatchingLimits) -> String {
+    let MatchingLimits {
         extent_m,
         reach_m,
         reach_yaw_rad,
         min_points,
         score_temperature,
         temperature,
-        home_m,
-        home_yaw_rad,
+        near_m,
+        near_yaw_rad,
         min_margin,
         covered_within_m,
-    } = probing;
+    } = limits;
     format!(
         "Probing {{ extent_m: {extent_m:?}, reach_m: {reach_m:?}, reach_yaw_rad: {reach_yaw_rad:?}, \
          min_points: {min_points}, score_temperature: {score_temperature:?}, temperature: {temperature:?}, \
-         home_m: {home_m:?}, home_yaw_rad: {home_yaw_rad:?}, min_margin: {min_margin:?}, \
+         home_m: {near_m:?}, home_yaw_rad: {near_yaw_rad:?}, min_margin: {min_margin:?}, \
          covered_within_m: {covered_within_m:?} }}"
     )
 }

@@ -1,24 +1,24 @@
 use super::*;
-use echofix_core::vetting::matching::Probing;
+use echofix_core::vetting::matching::MatchingLimits;
 
 fn default_policy() -> Policy {
     crate::mapping::MappingConfig::default().policy()
 }
 
 fn varied() -> Policy {
-    let probing = Probing {
+    let matching = MatchingLimits {
         extent_m: 1e-7,
         reach_m: 1e16,
         reach_yaw_rad: 0.1 + 0.2,
         min_points: 7,
         score_temperature: 1.0,
         temperature: -0.0,
-        home_m: f64::MIN_POSITIVE,
-        home_yaw_rad: 2.5,
+        near_m: f64::MIN_POSITIVE,
+        near_yaw_rad: 2.5,
         min_margin: 1e15,
         covered_within_m: 123_456.75,
     };
-    let limits = Limits {
+    let limits = VettingLimits {
         shift_m: 0.1,
         yaw_rad: 0.2,
         sigma_m: 0.3,
@@ -26,7 +26,7 @@ fn varied() -> Policy {
         min_coverage: 0.5,
         known_coverage: 0.6,
         min_contrast: 0.7,
-        probing,
+        matching,
     };
     Policy {
         publish_contributors: 200,
@@ -130,7 +130,7 @@ fn every_number_tells_policies_apart() {
     let same = varied();
     let mut digests = std::collections::BTreeSet::from([same.digest()]);
     let mut count = 1;
-    let mut changed = |change: &dyn Fn(&mut Policy, &mut Decay, &mut Limits)| {
+    let mut changed = |change: &dyn Fn(&mut Policy, &mut Decay, &mut VettingLimits)| {
         let (mut policy, mut decay, mut limits) = (same, same.decay.unwrap(), same.vetting.unwrap());
         change(&mut policy, &mut decay, &mut limits);
         digests.insert(Policy { decay: Some(decay), vetting: Some(limits), ..policy }.digest());
@@ -140,7 +140,7 @@ fn every_number_tells_policies_apart() {
     changed(&|policy, _, _| policy.publish_contributors -= 1);
     changed(&|_, decay, _| decay.half_life_days += 1.0);
     changed(&|_, decay, _| decay.expire_days -= 1);
-    let of_limits: [fn(&mut Limits) -> &mut f64; 7] = [
+    let of_limits: [fn(&mut VettingLimits) -> &mut f64; 7] = [
         |limits| &mut limits.shift_m,
         |limits| &mut limits.yaw_rad,
         |limits| &mut limits.sigma_m,
@@ -149,21 +149,21 @@ fn every_number_tells_policies_apart() {
         |limits| &mut limits.known_coverage,
         |limits| &mut limits.min_contrast,
     ];
-    let of_probing: [fn(&mut Limits) -> &mut f64; 9] = [
-        |limits| &mut limits.probing.extent_m,
-        |limits| &mut limits.probing.reach_m,
-        |limits| &mut limits.probing.reach_yaw_rad,
-        |limits| &mut limits.probing.score_temperature,
-        |limits| &mut limits.probing.temperature,
-        |limits| &mut limits.probing.home_m,
-        |limits| &mut limits.probing.home_yaw_rad,
-        |limits| &mut limits.probing.min_margin,
-        |limits| &mut limits.probing.covered_within_m,
+    let of_matching: [fn(&mut VettingLimits) -> &mut f64; 9] = [
+        |limits| &mut limits.matching.extent_m,
+        |limits| &mut limits.matching.reach_m,
+        |limits| &mut limits.matching.reach_yaw_rad,
+        |limits| &mut limits.matching.score_temperature,
+        |limits| &mut limits.matching.temperature,
+        |limits| &mut limits.matching.near_m,
+        |limits| &mut limits.matching.near_yaw_rad,
+        |limits| &mut limits.matching.min_margin,
+        |limits| &mut limits.matching.covered_within_m,
     ];
-    for field in of_limits.into_iter().chain(of_probing) {
+    for field in of_limits.into_iter().chain(of_matching) {
         changed(&|_, _, limits| *field(limits) = 99.5);
     }
-    changed(&|_, _, limits| limits.probing.min_points += 1);
+    changed(&|_, _, limits| limits.matching.min_points += 1);
     assert_ne!(
         siphash(encoding::encode(&same, 2).as_bytes()),
         siphash(encoding::encode(&same, 3).as_bytes())

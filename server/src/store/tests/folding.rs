@@ -3,7 +3,7 @@
 use echofix_core::datum::Datum;
 use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence};
 use echofix_core::geo::{CellIndex, Zone};
-use echofix_core::vetting::Limits;
+use echofix_core::vetting::VettingLimits;
 
 use super::super::policy::FOLDING;
 use super::*;
@@ -58,7 +58,7 @@ fn numbers(id: TileId, tile: &Tile) -> Vec<u8> {
 #[test]
 fn the_same_journal_gives_the_same_map_from_build_to_build() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = Policy { vetting: Some(Limits::default()), ..Policy::trusting() };
+    let policy = Policy { vetting: Some(VettingLimits::default()), ..Policy::trusting() };
     let store = EmbeddedStore::open(&Options { policy, ..options(dir.path()) }).unwrap();
     commit_all(&store, &[street(1, [0, 0]), street(2, [2, -1]), street(3, [-1, 2])]);
     caught_up(&store);
