@@ -1,7 +1,7 @@
 //! The `echofix` command.
 //!
-//! [`commands`] has one file a subcommand. Driving, uploading and asking are `echofix_harness`'s; experiments and
-//! benchmarks are `echofix_lab`'s, and only there with the feature `lab`.
+//! [`commands`] has one file for each subcommand. Drives, uploads and requests come from `echofix_harness`. Experiments and
+//! benchmarks come from `echofix_lab`; they are compiled in with the feature `lab`.
 
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
 
@@ -17,34 +17,34 @@ use clap::{Parser, Subcommand};
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Print machine-readable JSON, and no progress bars.
+    /// Print JSON for machines, without progress bars.
     #[arg(long, global = true)]
     json: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
-    /// Watch a fleet build a radar map of a town, and other vehicles find themselves in it.
+    /// Simulate a fleet that maps a town, and another vehicle that localizes itself on this map.
     Demo(commands::demo::Args),
     /// Run the service: gRPC for vehicles, HTTP for operators.
     Serve(commands::serve::Args),
-    /// Measure on this machine what a fix costs: the whole service, its steps, its engines.
+    /// Measure what a fix costs on this machine: under load, step by step, and engine by engine.
     #[cfg(feature = "lab")]
     Bench(echofix_lab::bench::command::Args),
     /// Write the drive log of a simulated vehicle.
     Simulate(commands::simulate::Args),
-    /// Turn foreign radar data into a drive log.
+    /// Convert the radar data of a public data set to a drive log.
     Import(commands::import::Args),
-    /// Upload a drive log to the map; see its history, roll it back, export, import, back it up.
+    /// Upload drive logs to the map; show its history, exclude uploads, export, import, check and back it up.
     Map(commands::map::Args),
-    /// Replay a drive log against the service, and compare its answers with the truth.
+    /// Send the batches of a drive log to the service, and compare its fixes with the known poses.
     Localize(commands::localize::Args),
-    /// Keep a copy of a region's map in a folder, as vehicles do.
+    /// Keep a copy of an area's map in a folder, as vehicles do.
     Tiles(commands::tiles::Args),
-    /// Repeat the paper's experiments on simulated towns or drive logs.
+    /// Repeat the paper's experiments, and further ones, on simulated towns or on drive logs.
     #[cfg(feature = "lab")]
     Evaluate(echofix_lab::evaluate::command::Args),
-    /// Show what a running service holds and whether it is ready.
+    /// Show whether a running service is ready, and what its map holds.
     Status(commands::status::Args),
 }
 

@@ -1,10 +1,9 @@
-//! The laboratory: how good Echofix's answers are, and what they cost. Nothing of it runs in the service or on a
-//! vehicle.
+//! The laboratory: how good the fixes are, and what they cost. Neither the service nor a vehicle uses it.
 //!
-//! - [`evaluate`]: the paper's experiments and more, in one process: `echofix evaluate`.
-//! - [`mod@bench`]: what a fix and an upload cost on this machine: `echofix bench`.
-//! - [`report`]: generated sections of written pages.
-//! - [`machine`]: what figures were made on.
+//! - [`evaluate`]: the paper's experiments and further ones, in one process; this is `echofix evaluate`.
+//! - [`mod@bench`]: what a fix and an upload cost on this machine; this is `echofix bench`.
+//! - [`report`]: writes generated sections into the pages of `docs/benchmarks`.
+//! - [`machine`]: the machine that the figures were measured on.
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
 
 pub mod bench;

@@ -1,23 +1,24 @@
-//! What it all ran on, and what a process used of it (Linux; elsewhere unknown).
+//! The machine, and the processor time and memory of a process. Both come from `/proc`: elsewhere than on Linux they are
+//! unknown.
 
 use std::time::Duration;
 use std::{fmt, fs};
 
 use serde::Serialize;
 
-/// The machine.
+/// The machine that figures were measured on.
 #[derive(Debug, Clone, Serialize)]
 pub struct Machine {
-    /// Its processor, in the words of its maker.
+    /// Name of the processor, as its maker gives it.
     pub processor: String,
-    /// Cores that may be used.
+    /// Number of cores that this process may use.
     pub cores: usize,
     /// Memory, GiB.
     pub memory_gib: f64,
 }
 
 impl Machine {
-    /// This one.
+    /// The machine that this process runs on.
     pub fn here() -> Self {
         let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
@@ -35,21 +36,21 @@ impl fmt::Display for Machine {
     }
 }
 
-/// Processor time a process used so far, to a hundredth of a second.
+/// Processor time that a process has used so far, to a hundredth of a second.
 pub fn used_by(process: u32) -> Option<Duration> {
     used(&fs::read_to_string(format!("/proc/{process}/stat")).ok()?)
 }
 
-/// Memory a process holds, KiB.
+/// Resident memory of a process, KiB.
 pub fn held_by(process: u32) -> Option<u64> {
     kibibytes(&fs::read_to_string(format!("/proc/{process}/status")).ok()?, "VmRSS")
 }
 
 /// User and system time of `/proc/PID/stat` (`proc_pid_stat(5)`, fields 14 and 15).
 fn used(stat: &str) -> Option<Duration> {
-    /// `USER_HZ`, which Linux keeps at this whatever its own clock.
+    /// One tick of `USER_HZ`, which is 100 on Linux whatever the kernel's own clock.
     const TICK: Duration = Duration::from_millis(10);
-    // The second field is a name in brackets, with whatever it likes in between.
+    // The second field is the program's name in brackets; it may contain blanks and brackets.
     let (_, fields) = stat.rsplit_once(')')?;
     let mut times = fields.split_whitespace().skip(11).map(str::parse::<u32>);
     let (user, system) = (times.next()?.ok()?, times.next()?.ok()?);

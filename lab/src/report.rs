@@ -1,14 +1,14 @@
-//! Generated sections of a written page: what lies between two markers is replaced, the rest stays.
+//! Writes generated sections into the pages of `docs/benchmarks`. Only the text between a section's two markers is replaced.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-/// Replaces what lies between `<!-- NAME:begin -->` and `<!-- NAME:end -->`; a page without the markers
-/// gets them at its end.
+/// The page with `body` between `<!-- NAME:begin -->` and `<!-- NAME:end -->`. Where the page has no such markers, they are
+/// added at its end.
 ///
 /// # Errors
-/// When only one of the markers is there, or they are in the wrong order.
+/// When the page has only one of the markers, or has them in the wrong order.
 pub fn replaced(page: &str, name: &str, body: &str) -> anyhow::Result<String> {
     let (begin, end) = (format!("<!-- {name}:begin -->"), format!("<!-- {name}:end -->"));
     let body = body.trim_matches('\n');
@@ -25,17 +25,17 @@ pub fn replaced(page: &str, name: &str, body: &str) -> anyhow::Result<String> {
     }
 }
 
-/// The folder of the benchmarks' pages in the repository at this path; it is made when it is not there.
+/// The folder of the benchmarks' pages in the repository at this path. It is created if it does not exist.
 ///
 /// # Errors
-/// When it cannot be made.
+/// When the folder cannot be created.
 pub fn pages(repository: &Path) -> anyhow::Result<PathBuf> {
     let pages = repository.join("docs/benchmarks");
     std::fs::create_dir_all(&pages).with_context(|| format!("making {}", pages.display()))?;
     Ok(pages)
 }
 
-/// Replaces a section of a file, which is made when it is not there.
+/// Replaces a section of a page. The file is created if it does not exist.
 ///
 /// # Errors
 /// When the file cannot be read or written, or its markers are not a pair.

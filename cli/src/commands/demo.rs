@@ -1,7 +1,7 @@
-//! `echofix demo`: a fleet builds a radar map of a town, and other vehicles find themselves in it.
+//! `echofix demo`: a simulated fleet maps a town, and another vehicle localizes itself on this map.
 //!
-//! Everything is real but the town: the service runs as its own process, the fleet uploads through
-//! the vehicle library's spool, the localizing vehicle asks over a socket.
+//! Only the town and its vehicles are simulated. The service runs as its own process, the fleet uploads through the spool of
+//! the vehicle library, and the localizing vehicle sends its requests over a socket.
 
 mod report;
 
@@ -24,24 +24,24 @@ use report::Report;
 /// Arguments of `echofix demo`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Seed of the town and all that drives in it.
+    /// Seed of the town, its drives and the priors. The same seed gives the same errors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Vehicles that map the town on the first day.
     #[arg(long, default_value_t = 5)]
     contributors: u64,
-    /// Seconds between the localizing vehicle's questions.
+    /// Seconds between the requests of the localizing vehicle.
     #[arg(long, default_value_t = 1.5)]
     every_s: f64,
-    /// Write every fix into this CSV file.
+    /// Write every fix to this CSV file.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// End when done, instead of keeping the console up until Ctrl-C.
+    /// End after the report. Otherwise the console stays up until Ctrl-C, on a terminal.
     #[arg(long)]
     exit: bool,
 }
 
-/// Days between mapping and localizing: the parked cars have changed.
+/// Days between mapping and localizing: other cars are parked by then.
 const DAYS_LATER: u32 = 3;
 
 /// Runs the subcommand.
@@ -132,7 +132,7 @@ fn simulated(
     })
 }
 
-/// Another vehicle drives on another day and asks where it is.
+/// Another vehicle drives on another day and asks the service for its pose.
 async fn localize(
     args: &Args,
     city: &City,
@@ -141,7 +141,7 @@ async fn localize(
 ) -> anyhow::Result<FixSummary> {
     let drive = simulated(city, DAYS_LATER, "lost".to_owned(), args.seed * 1000 + 999).await??;
     let plan = QuestionPlan::every(args.every_s, args.seed);
-    let bar = progress::bar("another vehicle finds itself", 0, json);
+    let bar = progress::bar("another vehicle localizes itself", 0, json);
     let replay = ask(&drive, &patient_localizer(&service.grpc)?, &plan, 2, &bar).await?;
     bar.finish_and_clear();
     if let Some(out) = &args.out {

@@ -1,4 +1,4 @@
-//! `echofix import`: foreign radar data becomes a drive log.
+//! `echofix import`: radar data of public data sets becomes a drive log.
 
 use std::path::{Path, PathBuf};
 
@@ -11,21 +11,20 @@ use echofix_core::scan::Scan;
 /// Arguments of `echofix import`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// What kind of data it is.
-    kind: Kind,
-    /// The folder that holds it.
+    /// The data set.
+    dataset: Dataset,
+    /// The folder that holds the data.
     from: PathBuf,
-    /// Where to write the log: a file ending in .mcap, or a folder for CSV.
+    /// The drive log to write: a file whose name ends in .mcap, or a folder of CSV files.
     out: PathBuf,
 }
 
-/// Foreign data that can be read.
+/// Data sets that can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
-    /// A piece of RADIATE: a spinning Navtech radar, decoded to points (`scans.csv.gz`, `poses.csv`,
-    /// `gps_ins.csv`).
+pub enum Dataset {
+    /// A part of RADIATE: a spinning Navtech radar, decoded to points (`scans.csv.gz`, `poses.csv`, `gps_ins.csv`).
     Radiate,
-    /// A piece of comma2k19: the object tracks of a production car's radar.
+    /// A part of comma2k19: the object tracks of a production car's radar.
     Comma2k19,
 }
 
@@ -34,16 +33,16 @@ pub enum Kind {
 /// # Errors
 /// When the data cannot be read or the log cannot be written.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let drive = match args.kind {
-        Kind::Radiate => import::radiate(&args.from)?,
-        Kind::Comma2k19 => import::comma2k19(&args.from)?,
+    let drive = match args.dataset {
+        Dataset::Radiate => import::radiate(&args.from)?,
+        Dataset::Comma2k19 => import::comma2k19(&args.from)?,
     };
     drivelog::write(&args.out, &drive).with_context(|| format!("writing {}", args.out.display()))?;
     report(&drive, &args.out, json);
     Ok(())
 }
 
-/// Says what a written log holds.
+/// Prints what a written log holds.
 pub fn report(drive: &Drive, out: &Path, json: bool) {
     let detections: usize = drive.scans.iter().map(Scan::len).sum();
     let seconds = drive

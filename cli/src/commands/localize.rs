@@ -1,4 +1,4 @@
-//! `echofix localize`: a drive log asks the service where it is.
+//! `echofix localize`: the service localizes the batches of a drive log.
 
 use std::path::{Path, PathBuf};
 
@@ -17,36 +17,36 @@ use super::ScanRange;
 /// Arguments of `echofix localize`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A drive log: an .mcap file or a CSV folder.
+    /// The drive log: an .mcap file or a folder of CSV files.
     drive: PathBuf,
-    /// Address of the service's gRPC port.
+    /// URL of the service's gRPC port.
     #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
     server: String,
-    /// Only these scans of the log, counted from 1, like 10-18.
+    /// Use only these scans of the log, counted from 1, like 10-18.
     #[arg(long)]
     scans: Option<ScanRange>,
-    /// Seconds between questions; 0 asks at every scan.
+    /// Seconds between requests; 0 sends one at every scan.
     #[arg(long, default_value_t = 1.0)]
     every_s: f64,
-    /// Seconds of scans a batch spans.
+    /// Length of a batch, seconds.
     #[arg(long, default_value_t = 5.0)]
     batch_s: f64,
-    /// Seconds of scans that must have come before the first question.
+    /// Seconds from the first scan to the first request.
     #[arg(long, default_value_t = 5.0)]
     warm_up_s: f64,
-    /// Random priors a batch, drawn around the truth.
+    /// Requests for each batch, each with another random prior around the known pose.
     #[arg(long, default_value_t = 1)]
     priors: usize,
-    /// One-sigma error of the priors' position along each axis, metres.
+    /// Standard deviation of the priors' position along each axis, metres.
     #[arg(long, default_value_t = 2.0)]
     sigma_position_m: f64,
-    /// One-sigma error of the priors' heading, degrees.
+    /// Standard deviation of the priors' heading, degrees.
     #[arg(long, default_value_t = 3.0)]
     sigma_yaw_deg: f64,
-    /// Seed of the priors' errors.
+    /// Seed of the random priors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Questions under way at once.
+    /// Requests that wait for their fixes at the same time.
     #[arg(long, default_value_t = 2)]
     at_once: usize,
     /// Write every fix to this CSV file.

@@ -1,4 +1,4 @@
-//! `echofix map`: drive logs go to the map; its history, and what operators do with it.
+//! `echofix map`: uploads drive logs to the map, and offers what operators do with the map.
 
 use std::path::PathBuf;
 
@@ -12,53 +12,65 @@ use echofix_harness::uploading::{UploadedDrive, upload};
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
 
-/// The operator's words, where they are first used.
-const WORDS: &str = "Words:
-  journal     the history of the map: every upload, import and decision is a record of it
-  fold        to add a record to the tiles, in the journal's order
-  epoch       the number of the last record that a state of the map contains
-  compact     to replace old records by a checkpoint; it cannot be undone
-  lineage     tells one history of the map from another; a restored backup gets a new one
-  datum       by how much uploads were moved onto the map; its mean is the map's own offset
-  quarantine  uploads that were kept out of the map, since they do not fit what others uploaded";
+/// The operators' words, where they are needed first.
+const WORDS: &str = "\
+Words:
+  journal     the service's history: one record for each upload, each imported tile and each
+              decision of an operator, in the order they came
+  fold        to add what a record holds to the tiles of the map; records are folded in the
+              journal's order
+  epoch       the number of the last record that a state of the map contains; it grows with each
+              record, so that a larger epoch is a later map
+  roll back   to exclude every record after an epoch; the decision is a record, too
+  revoke      to exclude a contributor's uploads so far, or one upload or imported file
+  compact     to replace the records before a day by a checkpoint, which holds the tiles they made;
+              those records can then no longer be excluded, and this cannot be undone
+  lineage     a random number that tells one history of the map from another; it is drawn anew
+              when a backup is restored or when the configuration of what counts is changed, and
+              vehicles then download their tiles anew
+  vetting     to compare an upload with what others contributed, and to accept it, move it onto
+              the map or quarantine it
+  quarantine  the uploads that vetting kept out of the map, with offset and reason
+  datum       by how much vetting moved the uploads over a tile; its mean is the map's own offset,
+              and the service subtracts it from every fix";
 
 /// Arguments of `echofix map`.
 #[derive(clap::Args)]
-#[command(after_long_help = WORDS, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_long_help = WORDS)]
 pub struct Args {
     #[command(subcommand)]
     operation: Option<MapOperation>,
-    /// Address of the service's HTTP port, for operations.
+    /// URL of the service's HTTP port, which the operations use.
     #[arg(long, global = true, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
     http: String,
-    /// Drive logs: .mcap files or CSV folders.
+    /// The drive logs to upload: .mcap files or folders of CSV files.
     #[arg(required = true)]
     drives: Vec<PathBuf>,
-    /// Address of the service's gRPC port.
+    /// URL of the service's gRPC port, which takes the uploads.
     #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
     server: String,
-    /// Where uploads wait until they are acknowledged; what is there from an earlier run is sent, too.
+    /// Folder in which uploads wait until the service has acknowledged them. Uploads of an earlier run are sent, too.
     #[arg(long, default_value = "echofix-spool")]
     spool: PathBuf,
-    /// Upload the scans themselves instead of the evidence gathered from them.
+    /// Upload scans and poses (raw uploads). Without it, the evidence that was built from them.
     #[arg(long)]
     raw: bool,
-    /// Only these scans of each log, counted from 1, like 1-9.
+    /// Use only these scans of each log, counted from 1, like 1-9.
     #[arg(long)]
     scans: Option<ScanRange>,
-    /// Detections farther away are dropped, metres.
+    /// Largest range of a detection, metres. Farther ones are dropped.
     #[arg(long, default_value_t = 50.0)]
     max_range_m: f64,
-    /// Poses with a larger one-sigma error of the position are not mapped from, metres; the service
-    /// has a limit of its own, see `mapping.max_sigma_position_m`.
+    /// Largest standard deviation of a pose's position, metres. Less certain poses add nothing to the map. The service
+    /// has its own limit, `mapping.max_sigma_position_m`.
     #[arg(long, default_value_t = 0.3)]
     max_sigma_m: f64,
-    /// Poses with a larger one-sigma error of the heading are not mapped from, degrees; the service
-    /// has a limit of its own, see `mapping.max_sigma_yaw_deg`.
+    /// Largest standard deviation of a pose's heading, degrees. Less certain poses add nothing to the map. The service
+    /// has its own limit, `mapping.max_sigma_yaw_deg`.
     #[arg(long, default_value_t = 0.5)]
     max_sigma_yaw_deg: f64,
-    /// Nothing is mapped within this distance of where a drive began and where it ended, metres. Vehicles
-    /// leave out 100 m, for where people live is private; logs given by hand are the operator's own.
+    /// Upload nothing within this distance of where a drive began and ended, metres. Vehicles leave out 100 m, to protect
+    /// where people live. This command leaves out nothing unless told to: the logs are the operator's own.
     #[arg(long, default_value_t = 0.0)]
     trim_ends_m: f64,
 }
@@ -66,11 +78,10 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a log cannot be read, has no known poses, or the service does not take its uploads; or an operation
-/// fails.
+/// When a log cannot be read or has no known poses, when the service refuses its uploads, or when an operation fails.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     if let Some(operation) = args.operation {
-        // Blocking, like all of it.
+        // The operations block.
         return tokio::task::block_in_place(|| map_operations::run(&operation, &args.http, json));
     }
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
@@ -109,7 +120,7 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
     println!("  left out: {}", done.left_out);
     if done.duplicates + done.refused > 0 {
         println!(
-            "  {} were known already, {} were refused (see refused/ in the spool)",
+            "  {} were known to the service already, {} were refused (see refused/ in the spool)",
             done.duplicates, done.refused
         );
     }

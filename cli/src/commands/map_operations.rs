@@ -1,4 +1,4 @@
-//! `echofix map history`, `diff`, `rollback`, ...: what an operator sees and decides, over HTTP.
+//! `echofix map history`, `diff`, `rollback`, ...: what operators see and decide, over the HTTP port.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufReader};
@@ -11,69 +11,73 @@ use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
 
-/// How long an operation may take: some fold the whole journal again.
+/// Longest time of an operation: some fold the whole journal again.
 const WITHIN: Duration = Duration::from_hours(1);
 
-/// What is done with the map.
+/// An operation on the map.
 #[derive(clap::Subcommand)]
 pub enum MapOperation {
-    /// Show what happened to the map: uploads, imports and decisions, newest first.
+    /// Show the map's history: uploads, imports and operators' decisions, newest first, with their epochs.
     History {
-        /// How many events.
+        /// Largest number of events to show.
         #[arg(long, default_value_t = 20)]
         limit: u32,
     },
-    /// Compare the map of two epochs.
+    /// Compare the map at two epochs: which tiles and how many cells differ.
     Diff {
         /// The earlier epoch.
         from: u64,
         /// The later epoch.
         to: u64,
     },
-    /// Exclude all uploads and imports after an epoch.
+    /// Roll the map back to an epoch: exclude all uploads and imports after it.
     Rollback {
-        /// The last epoch that counts.
+        /// The last epoch whose record still counts.
         epoch: u64,
     },
     /// Exclude what a contributor has uploaded so far, or one upload or imported file.
     #[command(group = clap::ArgGroup::new("whose").required(true))]
     Revoke {
-        /// The contributor's pseudonym, as its uploads name it.
+        /// The pseudonym under which the contributor uploads.
         #[arg(long, group = "whose")]
         contributor: Option<String>,
         /// The id of an upload or an imported file.
         #[arg(long, group = "whose")]
         upload: Option<String>,
     },
-    /// Write a region's map to a file.
+    /// Write the tiles of a region to a file.
     Export {
-        /// The file; it must not exist.
+        /// The file to write. It must not exist yet.
         file: PathBuf,
-        /// West, south, east, north in degrees, separated by commas; all of the map without it.
+        /// The region as west,south,east,north in degrees. Without it: the whole map.
         #[arg(long = "box", allow_hyphen_values = true)]
         area: Option<String>,
     },
-    /// Add an exported region to the map. It counts once, however often it is imported.
+    /// Add an exported region to the map. A file counts once, however often it is imported.
     Import {
-        /// The file.
+        /// The file that `export` wrote.
         file: PathBuf,
     },
-    /// Read all that the service stores and check it.
+    /// Read everything that the service stores, and check it.
     Verify {
-        /// Also fold the journal again and compare.
+        /// Also fold the journal again, and compare the result with the map that is served.
         #[arg(long)]
         replay: bool,
     },
-    /// Replace the records of before a day by a checkpoint: nobody can exclude them any more, and they take less room.
+    /// Compact the journal: replace the records before a day by a checkpoint. This cannot be undone.
+    ///
+    /// The journal takes less room then, but what came before that day can no longer be rolled back or revoked.
     Compact {
-        /// UTC date, like 2026-12-31.
+        /// The day, as a UTC date like 2026-12-31. Records of this day and later ones stay as they are.
         #[arg(long)]
         before: String,
     },
-    /// Write a copy of the store to a tar archive while the service runs; unpack it into a data directory to
-    /// restore. It holds the key that contributors are hashed with: keep it secret.
+    /// Write a backup of the store to a tar archive, while the service runs.
+    ///
+    /// To restore it, unpack it into an empty data directory. Keep it secret: it holds the key with which contributors are
+    /// hashed.
     Backup {
-        /// The archive; it must not exist.
+        /// The archive to write. It must not exist yet.
         file: PathBuf,
     },
 }
@@ -81,37 +85,37 @@ pub enum MapOperation {
 /// Runs an operation against the HTTP port.
 ///
 /// # Errors
-/// When the service is out of reach or refuses, a file cannot be read or written, or `verify` finds damage.
+/// When the service cannot be reached or refuses, a file cannot be read or written, or `verify` finds damage.
 pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<()> {
-    let service = OperatorsPort::at(http);
+    let port = OperatorsPort::at(http);
     let body = match operation {
         MapOperation::History { limit } => {
-            let body = service.get(&format!("history?limit={limit}"))?;
+            let body = port.get(&format!("history?limit={limit}"))?;
             return show(&body, json, history);
         }
         MapOperation::Diff { from, to } => {
-            let body = service.get(&format!("diff?from={from}&to={to}"))?;
+            let body = port.get(&format!("diff?from={from}&to={to}"))?;
             return show(&body, json, diff);
         }
         MapOperation::Verify { replay } => {
-            let body = service.get(&format!("verify?replay={replay}"))?;
+            let body = port.get(&format!("verify?replay={replay}"))?;
             show(&body, json, |body| println!("{body:#}"))?;
-            // Scripts go by the exit code.
+            // Scripts read the exit code.
             ensure!(body["sound"] == true, "the store is damaged");
             return Ok(());
         }
         MapOperation::Export { file, area } => {
             let query = area.as_ref().map(|area| format!("?box={area}")).unwrap_or_default();
-            json!({ "bytes": service.download(&format!("export{query}"), file, 0o644)? })
+            json!({ "bytes": port.download(&format!("export{query}"), file, 0o644)? })
         }
-        MapOperation::Backup { file } => json!({ "bytes": service.download("backup", file, 0o600)? }),
-        MapOperation::Import { file } => service.import(file)?,
-        MapOperation::Rollback { epoch } => service.post("rollback", &json!({ "epoch": epoch }))?,
+        MapOperation::Backup { file } => json!({ "bytes": port.download("backup", file, 0o600)? }),
+        MapOperation::Import { file } => port.import(file)?,
+        MapOperation::Rollback { epoch } => port.post("rollback", &json!({ "epoch": epoch }))?,
         MapOperation::Revoke { contributor: Some(contributor), .. } => {
-            service.post("revoke", &json!({ "contributor": contributor }))?
+            port.post("revoke", &json!({ "contributor": contributor }))?
         }
-        MapOperation::Revoke { upload, .. } => service.post("revoke", &json!({ "upload": upload }))?,
-        MapOperation::Compact { before } => service.post("compact", &json!({ "before": before }))?,
+        MapOperation::Revoke { upload, .. } => port.post("revoke", &json!({ "upload": upload }))?,
+        MapOperation::Compact { before } => port.post("compact", &json!({ "before": before }))?,
     };
     show(&body, json, |body| println!("{body:#}"))
 }
@@ -158,7 +162,7 @@ fn diff(body: &Value) {
     }
 }
 
-/// The HTTP port of a service.
+/// The service's HTTP port, which serves operators.
 struct OperatorsPort {
     agent: ureq::Agent,
     root: String,
@@ -168,7 +172,7 @@ impl OperatorsPort {
     fn at(http: &str) -> Self {
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(WITHIN))
-            // A refusal with a reason is an answer, too.
+            // A refusal has a body, with its reason.
             .http_status_as_error(false);
         let root = format!("{}/api/v1/map", http.trim_end_matches('/'));
         Self { agent: config.build().into(), root }
@@ -191,7 +195,7 @@ impl OperatorsPort {
         read(&url, request.send(SendBody::from_owned_reader(BufReader::new(opened))))
     }
 
-    /// Writes an answer to a new file, which is removed again unless all of it came.
+    /// Writes an answer to a new file, and removes the file again unless all of the answer came.
     fn download(&self, path: &str, file: &Path, mode: u32) -> anyhow::Result<u64> {
         let url = format!("{}/{path}", self.root);
         let mut answer = answered(&url, self.agent.get(&url).call())?;
@@ -203,7 +207,7 @@ impl OperatorsPort {
             Ok(bytes)
         });
         if copied.is_err() {
-            // Half of it is worse than nothing.
+            // Nobody shall take a part for the whole.
             let _ = std::fs::remove_file(file);
         }
         copied.with_context(|| format!("{url} did not send all of it to {}", file.display()))
@@ -215,7 +219,7 @@ fn read(url: &str, answer: Result<Response<Body>, ureq::Error>) -> anyhow::Resul
     answer.body_mut().read_json().with_context(|| format!("{url} did not answer with JSON"))
 }
 
-/// An answer that is no refusal.
+/// An answer that is not a refusal.
 fn answered(url: &str, answer: Result<Response<Body>, ureq::Error>) -> anyhow::Result<Response<Body>> {
     let mut answer = answer.with_context(|| {
         format!("no service answers at {url}; is it running there? Start one with `echofix serve`")

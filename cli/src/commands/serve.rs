@@ -7,7 +7,7 @@ use echofix_server::args::ServeArgs;
 use echofix_server::{log, run as service};
 use tokio::sync::oneshot;
 
-/// Work that still holds a thread at the end gets this long.
+/// How long the process waits, at its end, for threads that still work.
 const LAST_WORK: Duration = Duration::from_secs(1);
 
 /// Arguments of `echofix serve`.
@@ -15,12 +15,12 @@ const LAST_WORK: Duration = Duration::from_secs(1);
 pub struct Args {
     #[command(flatten)]
     service: ServeArgs,
-    /// End when standard input does: with the process that started this one, however that ends.
+    /// End when standard input ends: with the process that started this one, even if that one is killed.
     #[arg(long, hide = true)]
     end_with_stdin: bool,
 }
 
-/// Runs the subcommand until the process is asked to end.
+/// Runs the subcommand until a signal ends it.
 ///
 /// # Errors
 /// When the configuration is wrong, a port is taken or the store does not open.
@@ -45,11 +45,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Resolves when standard input ends.
 async fn stdin_closed() {
-    let (closed, ended) = oneshot::channel();
-    // Not one of the runtime's threads: nothing wakes it before the process ends.
+    let (sender, closed) = oneshot::channel();
+    // Not a thread of the runtime: only the end of the input wakes it, and the runtime would wait for it.
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
-        closed.send(())
+        sender.send(())
     });
-    let _ = ended.await;
+    let _ = closed.await;
 }

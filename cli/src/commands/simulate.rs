@@ -10,21 +10,21 @@ use echofix_sim::{City, CityParams, Route};
 /// Arguments of `echofix simulate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Where to write the log: a file ending in .mcap, or a folder for CSV.
+    /// The drive log to write: a file whose name ends in .mcap, or a folder of CSV files.
     out: PathBuf,
-    /// Seed of the town; the same seed is the same town.
+    /// Seed of the town. The same seed gives the same town.
     #[arg(long, default_value_t = 1)]
     city: u64,
-    /// Day: parked cars and traffic change from day to day.
+    /// Day of the drive, counted from 0. Parked cars and traffic change from day to day.
     #[arg(long, default_value_t = 0)]
     day: u32,
-    /// Seed of the drive: its way, its noise.
+    /// Seed of the drive: its route and its noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Name of the vehicle.
     #[arg(long, default_value = "simulated")]
     vehicle: String,
-    /// Drive this far at random, metres, instead of once through every street.
+    /// Drive a random route of this length, metres. Without it, the route goes once through every street.
     #[arg(long)]
     wander_m: Option<f64>,
 }

@@ -1,11 +1,11 @@
-//! `echofix status`: what a running service holds and whether it is ready.
+//! `echofix status`: whether a running service is ready, and what its map holds.
 
 use echofix_harness::http::get_json;
 
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Address of the service's HTTP port.
+    /// URL of the service's HTTP port.
     #[arg(long, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
     http: String,
 }
@@ -13,7 +13,7 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the service is out of reach, not ready, or answers nonsense.
+/// When the service cannot be reached, is not ready, or does not answer with JSON.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let ready = get_json(&args.http, "/readyz")?;
     let map = get_json(&args.http, "/api/v1/map")?;
@@ -23,7 +23,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&ready)?);
         println!("{}", serde_json::to_string_pretty(&map)?);
     }
-    // Scripts and health checks go by the exit code.
+    // Scripts and health checks read the exit code.
     anyhow::ensure!(
         ready["ready"] == true,
         "the service is not ready: {}",

@@ -1,4 +1,4 @@
-//! `echofix tiles`: a vehicle's copy of the map, as an operator looks at it.
+//! `echofix tiles`: a copy of the map in a folder, as vehicles keep it.
 
 use std::path::PathBuf;
 
@@ -16,18 +16,18 @@ pub struct Args {
 
 #[derive(clap::Subcommand)]
 enum TilesOperation {
-    /// Download what changed of a region's map into a folder, and remove what is no longer in it.
+    /// Download the tiles of an area that changed, and remove those that are no longer in the map.
     Sync {
-        /// The folder; one that an earlier run filled is brought up to date.
+        /// The folder. If an earlier run filled it, it is brought up to date.
         dir: PathBuf,
-        /// West, south, east, north in degrees, separated by commas: some 3 km square at most. Without it all of the
-        /// map, where that is no larger.
+        /// The area as west,south,east,north in degrees, at most about 3 km by 3 km. Without it: the whole map, if that is
+        /// no larger.
         #[arg(long, allow_hyphen_values = true, value_parser = area)]
         area: Option<GeodeticBox>,
-        /// Address of the service's gRPC port.
+        /// URL of the service's gRPC port.
         #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
         server: String,
-        /// The folder may hold this many megabytes; what was not used for longest goes first.
+        /// Largest size of the folder, megabytes. Beyond it, the tiles that were not used for the longest time are removed.
         #[arg(long, default_value_t = 1_000)]
         max_mb: u64,
     },
@@ -36,7 +36,7 @@ enum TilesOperation {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the service is out of reach or refuses, or the folder cannot be used.
+/// When the service cannot be reached or refuses, or the folder cannot be used.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let TilesOperation::Sync { dir, area, server, max_mb } = args.operation;
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
@@ -64,7 +64,7 @@ fn report(done: &Synced, cache: &TileCache, json: bool) {
     }
     println!("{fetched} tiles in {:.1} kB, {unchanged} unchanged, {removed} removed", bytes as f64 / 1e3);
     if evicted > 0 {
-        println!("{evicted} that were not used for longest made room");
+        println!("{evicted} tiles that were not used for the longest time were removed to make room");
     }
     println!("the folder holds {tiles} tiles in {:.1} kB; the map's epoch is {epoch}", held as f64 / 1e3);
 }

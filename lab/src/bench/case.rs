@@ -1,4 +1,4 @@
-//! A batch, the map around its prior, and how to search.
+//! One alignment: a batch, the map around its prior, and the settings of the search.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use echofix_core::align::{Prior, Search};
 use echofix_core::batch::Batch;
 use echofix_core::window::MapSquare;
 
-/// A batch and the map around its prior.
+/// One alignment, with all that an engine needs for it.
 pub(super) struct Case {
     pub(super) square: MapSquare,
     pub(super) tiles: Vec<Arc<TileWeights>>,

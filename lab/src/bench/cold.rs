@@ -1,4 +1,4 @@
-//! A street that the service has not seen yet: windows made, memory taken.
+//! A street for which the service has prepared no tiles yet: what the map windows and their memory cost.
 
 use std::path::Path;
 
@@ -10,34 +10,34 @@ use crate::machine::{held_by, used_by};
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::process::ServiceProcess;
 
-/// Room for all windows of the street.
+/// A cache with room for all tiles of the street.
 pub(super) const ROOM: &str = "locating.tile_cache_mib=8192";
 
-/// No answer is asked again of another engine, whose images would count as the street's.
+/// No sampled checks: the images of their engine would count as memory of the street.
 const UNCONFIRMED: &str = "locating.confirm_share=0.0";
 
-/// What it costs to come to a street.
+/// What the first requests in a street cost.
 #[derive(Debug, Clone, Serialize)]
 pub struct Cold {
-    /// Questions.
+    /// Number of requests.
     pub asked: usize,
-    /// Kilometres of street they were asked over.
+    /// Kilometres of street along which they were sent.
     pub street_km: f64,
-    /// Milliseconds for the window of a question, cached or not.
+    /// Milliseconds for the map window of a request, with an empty cache at the start.
     pub window_ms: Option<Percentiles>,
-    /// Milliseconds for it when all windows are cached.
+    /// Milliseconds for the map window of the same requests, when all tiles are cached.
     pub cached_ms: Option<Percentiles>,
-    /// Milliseconds of the service's processor time that a kilometre cost, beyond what the same
-    /// questions cost once the windows are cached.
+    /// Milliseconds of the service's processor time that a kilometre costs, beyond what the same requests cost when all
+    /// tiles are cached.
     pub cpu_ms_per_km: Option<f64>,
-    /// Megabytes of memory the service holds after a kilometre.
+    /// Megabytes by which the service's memory grows in a kilometre.
     pub memory_mb_per_km: Option<f64>,
 }
 
-/// Asks along a street twice, on a service that has just started.
+/// Sends the requests along a street twice, to a service that has just started.
 ///
 /// # Errors
-/// When the service does not come up or answer.
+/// When the service does not start or does not answer.
 pub(super) async fn measure(town: &BenchTown, folder: &Path) -> anyhow::Result<Cold> {
     let settings = ["locating.threads=1", ROOM, TRUSTING, UNCONFIRMED].map(str::to_owned);
     let service = ServiceProcess::start(folder, &settings).await?;

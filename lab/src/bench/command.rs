@@ -13,10 +13,10 @@ pub struct Args {
     /// Seed of the town, the drives and the priors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// A small town and little of everything: whether it works, rather than what it costs.
+    /// Use a small town and few repetitions. This shows whether the benchmark works, not what a fix costs.
     #[arg(long)]
     quick: bool,
-    /// Write the figures into docs/benchmarks/service.md of this folder, the repository's.
+    /// Also write the figures to docs/benchmarks/service.md in the repository at this path.
     #[arg(long, value_name = "FOLDER")]
     write: Option<PathBuf>,
 }
@@ -24,7 +24,7 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a step of the way fails or the answers are not sane.
+/// When a step fails, or the fixes are so bad that their cost means nothing.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let Args { seed, quick, write } = args;
     let plan = if quick { BenchPlan::quick(seed) } else { BenchPlan::full(seed) };

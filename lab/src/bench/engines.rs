@@ -1,4 +1,4 @@
-//! The alignment alone, by engine.
+//! The time of the search and of a whole fix, engine by engine.
 
 use std::hint::black_box;
 
@@ -12,23 +12,23 @@ use super::case::Case;
 use super::inside::timed;
 use echofix_harness::percentiles::Percentiles;
 
-/// What an engine takes.
+/// The time that an engine takes.
 #[derive(Debug, Clone, Serialize)]
 pub struct EngineTiming {
-    /// Its name.
+    /// Name of the engine, or of the whole fix with it.
     pub name: String,
-    /// Milliseconds a batch.
+    /// Milliseconds for a batch.
     pub ms: Percentiles,
-    /// Its median over the first engine's.
+    /// Its median divided by that of the first engine.
     pub ratio: f64,
-    /// Cases with the first engine's maximum, of all.
+    /// In how many cases it found the first engine's maximum, and how many cases there are; absent where its sums are others.
     pub identical: Option<(usize, usize)>,
 }
 
-/// Engines that must find the reference's maximum.
+/// Exact engines, which must find the maximum of the reference.
 const EXACT: [&str; 2] = ["fft", "bounded"];
 
-/// Times every engine on every case, so many times; the slow ones once.
+/// Times every engine on every case, `repetitions` times; the slow engines fewer times.
 ///
 /// # Errors
 /// When an exact engine finds another maximum than the reference.
@@ -48,7 +48,7 @@ pub(super) fn measure(cases: &[Case], repetitions: usize) -> anyhow::Result<Vec<
             maxima.clone_from(&found);
         }
         let same = maxima.iter().zip(&found).filter(|(a, b)| a == b).count();
-        // Coarse to fine counts thinned points: its maximum is not that of the same sum.
+        // `fast` sums over thinned points, so that its maximum is that of another sum.
         let identical = (engine.name() != "fast").then_some((same, cases.len()));
         let exact = !EXACT.contains(&engine.name()) || same == cases.len();
         ensure!(
@@ -72,7 +72,7 @@ fn push(measured: &mut Vec<EngineTiming>, name: String, times: Vec<f64>, identic
     }
 }
 
-/// Milliseconds of the search alone, and the maximum of each case.
+/// Milliseconds of the search alone, and the correction at the maximum of each case.
 fn search(
     cases: &[Case],
     engine: &dyn engine::Engine,
@@ -83,7 +83,7 @@ fn search(
     for Case { square, tiles, batch, prior, search, .. } in cases {
         pipeline.assemble(*square, tiles);
         pipeline.thin(&batch.points, search.extent_m);
-        // The first time fills buffers.
+        // The first search fills the buffers.
         let found = pipeline.search(engine, batch, prior, search);
         maxima.extend(found.first().map(|top| top.correction));
         let mut search = || pipeline.search(engine, batch, prior, search).len();
@@ -92,7 +92,7 @@ fn search(
     (times, maxima)
 }
 
-/// Milliseconds of search, refinement and verdict.
+/// Milliseconds of whole fixes: search, refinement and verdict.
 fn whole(cases: &[Case], kind: EngineKind, repetitions: usize) -> Vec<f64> {
     let mut aligner = Aligner::default();
     let mut times = Vec::new();

@@ -1,4 +1,4 @@
-//! The same map and requests without sockets: where the time of one request goes.
+//! The service's parts in this process, without sockets: how long each step of a request takes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,29 +26,29 @@ use super::town::{BenchTown, TRUSTING};
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::questions::DriveQuestions;
 
-/// Questions that engines and steps are timed on.
+/// Number of requests that engines and steps are timed on.
 const TIMED: usize = 8;
 
-/// The step that asks the engine.
+/// Name of the step that aligns.
 pub(super) const ALIGNED: &str = "aligned";
 
-/// Milliseconds of one request's steps, on one thread.
+/// Milliseconds of the steps of a request, on one thread.
 #[derive(Debug, Clone, Serialize)]
 pub struct Inside {
-    /// In order, with what they are.
+    /// Name and time of each step, in their order.
     pub steps: Vec<(&'static str, Percentiles)>,
-    /// All of it.
+    /// All steps together.
     pub total_ms: Percentiles,
 }
 
 impl Inside {
-    /// A step by its name.
+    /// The time of a step, by its name.
     pub(super) fn step(&self, name: &str) -> Option<Percentiles> {
         self.steps.iter().find(|(step, _)| *step == name).map(|(_, ms)| *ms)
     }
 }
 
-/// The service's map and parts, in this process.
+/// The service's store, locator and gRPC methods, in this process and without sockets.
 pub(super) struct InProcessService {
     store: Arc<dyn MapStore>,
     config: Config,
@@ -58,12 +58,12 @@ pub(super) struct InProcessService {
 }
 
 impl InProcessService {
-    /// Opens the map that lies in a folder; no service may run on it.
+    /// Opens the map in a folder. No service may have it open.
     ///
     /// # Errors
     /// When the map does not open.
     pub(super) fn open(town: &BenchTown, folder: &Path) -> anyhow::Result<Self> {
-        // As the service was set: under another policy the map would be folded anew.
+        // The setting of the service that made the map: under another policy the map would be folded anew.
         let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {
@@ -77,17 +77,17 @@ impl InProcessService {
         Ok(Self { store, config, locator, api, requests: timed_of(&town.recording) })
     }
 
-    /// The requests that are timed.
+    /// The requests that engines and steps are timed on.
     pub(super) fn requests(&self) -> &[LocalizeRequest] {
         &self.requests
     }
 
-    /// Half width of the search for vehicles that are lost, metres.
+    /// Half width of the search in a relocalization, metres.
     pub(super) fn wide_search_m(&self) -> f64 {
         self.config.locating.wide_search_m
     }
 
-    /// Times the steps of every request, so many times.
+    /// Times the steps of every request, `repetitions` times.
     ///
     /// # Errors
     /// When a request is refused.
@@ -108,7 +108,7 @@ impl InProcessService {
         let mut times = Vec::new();
         for request in requests {
             let bytes = request.encode_to_vec();
-            // The first time fills the cache.
+            // The first request fills the cache.
             self.steps(&bytes).await?;
             for _ in 0..repetitions {
                 times.push(self.steps(&bytes).await?);
@@ -146,7 +146,7 @@ impl InProcessService {
         Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
     }
 
-    /// What the engines are timed on.
+    /// The alignments that the engines are timed on.
     ///
     /// # Errors
     /// When a request is malformed or the map cannot be read.
@@ -154,7 +154,7 @@ impl InProcessService {
         self.requests.iter().map(|request| self.case(request)).collect()
     }
 
-    /// A request as the engines see it.
+    /// The alignment of a request.
     ///
     /// # Errors
     /// When the request is malformed or the map cannot be read.
@@ -182,13 +182,13 @@ impl InProcessService {
     }
 }
 
-/// The requests of a recording that are timed.
+/// The requests of a drive that engines and steps are timed on, evenly spread over it.
 pub(super) fn timed_of(recording: &DriveQuestions) -> Vec<LocalizeRequest> {
     let asked = (0..recording.count()).step_by(recording.count().div_ceil(TIMED));
     asked.map(|index| recording.question(index).request.clone()).collect()
 }
 
-/// Detections of the median request.
+/// Number of detections of the median request.
 pub(super) fn detections(requests: &[LocalizeRequest]) -> usize {
     let scans = |request: &LocalizeRequest| Some(request.batch.as_ref()?.scans.as_ref()?.range_m.len());
     let mut counts: Vec<_> = requests.iter().filter_map(scans).collect();
@@ -196,7 +196,7 @@ pub(super) fn detections(requests: &[LocalizeRequest]) -> usize {
     counts.get(counts.len() / 2).copied().unwrap_or_default()
 }
 
-/// Milliseconds that some work takes, and what it gives.
+/// Milliseconds that some work takes, and its result.
 pub(super) fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
     let from = Instant::now();
     let done = work();

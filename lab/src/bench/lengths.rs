@@ -1,4 +1,4 @@
-//! One request by the length of its batch: whether its cost grows faster than the batch.
+//! The cost of a request by the length of its batch: does it grow faster than the batch?
 
 use prost::Message;
 use serde::Serialize;
@@ -6,20 +6,20 @@ use serde::Serialize;
 use super::inside::{InProcessService, Inside, detections, timed_of};
 use super::town::BenchTown;
 
-/// Batches of one length.
+/// The cost of requests with batches of one length.
 #[derive(Debug, Clone, Serialize)]
 pub struct Length {
-    /// Seconds of scans.
+    /// Length of the batch, seconds.
     pub batch_s: f64,
-    /// Detections of the median request.
+    /// Number of detections of the median request.
     pub detections: usize,
     /// Mean size of a request, kilobytes.
     pub request_kb: f64,
-    /// Where the time goes.
+    /// How long each step takes.
     pub inside: Inside,
 }
 
-/// Times requests of every length, so many times each.
+/// Times requests with batches of every length, each `repetitions` times.
 ///
 /// # Errors
 /// When a request is refused.

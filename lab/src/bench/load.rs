@@ -1,4 +1,4 @@
-//! Clients that ask over real sockets, one question after the other.
+//! Clients that send requests over real sockets, one after the other.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,25 +17,25 @@ use echofix_harness::process::ServiceProcess;
 use echofix_harness::questions::DriveQuestions;
 use echofix_harness::replay::patient_localizer;
 
-/// What came of a question: its number, the answer, milliseconds.
+/// Number of a request, its answer or refusal, and the milliseconds until it came.
 pub(super) type Answered = (usize, Result<LocalizeResponse, CallError>, f64);
 
-/// What a service did under load.
+/// What a service achieved under load.
 #[derive(Debug, Clone, Serialize)]
 pub struct Load {
-    /// Compute threads of the service.
+    /// Number of the service's compute threads.
     pub threads: usize,
-    /// Clients, each with a connection and one question under way.
+    /// Number of clients. Each has one connection, and at most one request under way.
     pub clients: usize,
-    /// Questions that were answered or refused.
+    /// Number of requests that were answered or refused.
     pub asked: usize,
-    /// Seconds.
+    /// How long the clients sent requests, seconds.
     pub seconds: f64,
-    /// Seconds of processor time the service used; absent where the system does not tell.
+    /// Processor time of the service, seconds; absent where the system does not report it.
     pub service_cpu_s: Option<f64>,
-    /// Seconds of processor time the clients used.
+    /// Processor time of the clients, seconds; absent where the system does not report it.
     pub clients_cpu_s: Option<f64>,
-    /// From question to answer.
+    /// Milliseconds from a request to its answer.
     pub latency_ms: Option<Percentiles>,
     /// Mean size of a request, kilobytes.
     pub request_kb: f64,
@@ -44,31 +44,31 @@ pub struct Load {
 }
 
 impl Load {
-    /// Answers a second.
+    /// Answers and refusals in a second.
     pub fn per_second(&self) -> f64 {
         self.asked as f64 / self.seconds
     }
 
-    /// Milliseconds of the service's processor time for one answer.
+    /// Milliseconds of the service's processor time for a request.
     pub fn service_ms(&self) -> Option<f64> {
         Some(self.service_cpu_s? * 1e3 / self.asked as f64)
     }
 
-    /// Milliseconds of the clients' processor time for one answer.
+    /// Milliseconds of the clients' processor time for a request.
     pub fn clients_ms(&self) -> Option<f64> {
         Some(self.clients_cpu_s? * 1e3 / self.asked as f64)
     }
 
-    /// Answers for each second of the service's processor time.
+    /// Requests for each second of the service's processor time.
     pub fn per_core_second(&self) -> Option<f64> {
         Some(1e3 / self.service_ms()?)
     }
 }
 
-/// Asks every question once, one after the other.
+/// Sends every request once, one after the other.
 ///
 /// # Errors
-/// When the service is out of reach.
+/// When the service cannot be reached.
 pub(super) async fn once(
     service: &ServiceProcess,
     recording: &DriveQuestions,
@@ -83,10 +83,10 @@ pub(super) async fn once(
     Ok(answers)
 }
 
-/// Clients ask for some time, each as soon as it is answered.
+/// Lets clients send requests for `span`. Each sends its next request as soon as the last one is answered.
 ///
 /// # Errors
-/// When the service is out of reach.
+/// When the service cannot be reached.
 pub(super) async fn closed_loop(
     service: &ServiceProcess,
     recording: &Arc<DriveQuestions>,
@@ -136,7 +136,7 @@ pub(super) async fn closed_loop(
     Ok((load, answers))
 }
 
-/// An answer or a refusal; whatever else happened is an error.
+/// An answer or a refusal. All else is an error.
 fn reached(
     answer: Result<LocalizeResponse, CallError>,
 ) -> anyhow::Result<Result<LocalizeResponse, CallError>> {

@@ -1,4 +1,4 @@
-//! Vehicles that are lost: the wide search that the service falls back to.
+//! Lost vehicles: what relocalization finds, and what it costs.
 
 use std::f64::consts::PI;
 
@@ -16,28 +16,27 @@ use super::inside::{InProcessService, timed};
 use super::town::BenchTown;
 use echofix_harness::percentiles::Percentiles;
 
-/// An answer this near is right: metres and degrees.
+/// A pose is right within these limits: metres and degrees.
 const RIGHT: (f64, f64) = (1.0, 3.0);
 
-/// What came of searches for lost vehicles.
+/// The results of relocalizations.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Lost {
-    /// Vehicles are at most so far from where they believe to be, east and north, metres; they know
-    /// nothing of their heading.
+    /// Largest error of the priors, east and north, metres. Their headings are random.
     pub off_m: f64,
-    /// Questions.
+    /// Number of requests.
     pub asked: usize,
-    /// Questions of which the best answer is right.
+    /// Number of requests whose pose is right.
     pub found: usize,
-    /// Of those, answers that the verdict trusts.
+    /// Number of right poses that the verdict calls usable.
     pub trusted: usize,
-    /// Answers that it trusts and that are not right.
+    /// Number of wrong poses that the verdict calls usable.
     pub misled: usize,
-    /// Milliseconds of search, refinement and verdict.
+    /// Milliseconds of a fix: search, refinement and verdict.
     pub fix_ms: Option<Percentiles>,
 }
 
-/// Asks so many questions of vehicles that are lost.
+/// Localizes vehicles that are lost, so many times.
 ///
 /// # Errors
 /// When a request is malformed or the map cannot be read.
@@ -54,7 +53,7 @@ pub(super) fn measure(
     for index in 0..questions {
         let LostQuestion { case, true_pose } = asked(scene, town, index % town.recording.count(), &mut rng)?;
         if index == 0 {
-            // The first time fills buffers.
+            // The first alignment fills the buffers.
             answer(&case, &mut aligner);
         }
         let (fix_ms, answer) = answer(&case, &mut aligner);
@@ -75,7 +74,7 @@ impl Lost {
     }
 }
 
-/// A question of a lost vehicle.
+/// The alignment of a lost vehicle.
 struct LostQuestion {
     case: Case,
     true_pose: Pose2,
@@ -106,7 +105,7 @@ fn asked(
     Ok(LostQuestion { case: scene.case(&request)?, true_pose })
 }
 
-/// Milliseconds of map assembled, search, refinement and verdict, and what came of them.
+/// Milliseconds of a fix with its map window, search, refinement and verdict, and its result.
 fn answer(case: &Case, aligner: &mut Aligner) -> (f64, Alignment) {
     let Case { square, tiles, batch, prior, search, integrity } = case;
     let task = Task { square: *square, tiles, batch, prior };

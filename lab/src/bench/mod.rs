@@ -1,18 +1,16 @@
-//! What a fix costs on this machine, from the socket to the engine.
+//! `echofix bench`: what a fix costs on this machine, from the socket to the engine.
 //!
-//! - [`town`]: a town, mapped through the vehicles' own uploads, and what another vehicle asks in it.
-//! - [`load`]: clients that ask over real sockets, one question after the other.
-//! - [`cold`]: a street that the service has not seen yet: windows made, memory taken.
-//! - [`inside`]: the same map and requests without sockets: where the time of one request goes.
-//! - [`command`]: its arguments.
-//! - [`case`]: a batch, the map around its prior, and how to search.
-//! - [`engines`]: the alignment alone, by engine.
-//! - [`sizes`]: the search by the size of window and batch.
-//! - [`lengths`]: one request by the length of its batch.
-//! - [`lost`]: the wide search for vehicles that are lost.
+//! - [`command`]: the arguments.
+//! - [`town`]: a town that vehicles map by their uploads, and the requests of another vehicle in it.
+//! - [`load`]: clients that send requests over real sockets.
+//! - [`cold`]: a street for which the service has prepared no tiles yet.
+//! - [`inside`]: the service's parts in this process, step by step.
+//! - [`case`]: one alignment. [`engines`] and [`sizes`] time it engine by engine, and by the size of window and batch.
+//! - [`lengths`]: a request by the length of its batch.
+//! - [`lost`]: relocalization.
 //! - [`mod@page`]: the figures as a page.
 //!
-//! The service is a process of its own: what it used is its own, and not the questioner's.
+//! The service is a process of its own, so that its processor time and memory do not contain those of the clients.
 
 mod case;
 mod cold;
@@ -46,35 +44,35 @@ pub use page::page;
 use sizes::Size;
 use town::{BenchTown, UploadCost};
 
-/// How much is measured.
+/// How much is measured, and in what town.
 #[derive(Debug, Clone, Serialize)]
 pub struct BenchPlan {
     /// Seed of the town, the drives and the priors.
     pub seed: u64,
-    /// Blocks of the town, east and north.
+    /// Blocks of the town, from west to east and from south to north.
     pub blocks: (usize, usize),
-    /// Vehicles that map it.
+    /// Number of vehicles that map it.
     pub contributors: u64,
-    /// Questions, one a second of driving; they are asked again and again.
+    /// Largest number of requests, one for each second of driving. Under load they are sent again and again.
     pub questions: usize,
-    /// Seconds of load for each figure.
+    /// How long each load lasts, seconds.
     pub load_s: f64,
-    /// Clients that ask at once, for each compute thread of the service.
+    /// Number of clients for each compute thread of the service.
     pub clients_per_thread: usize,
-    /// Times that each step and each engine is timed.
+    /// How many times each step and each engine is timed.
     pub repetitions: usize,
-    /// Windows the engines are compared in: shifts in each direction, metres.
+    /// Half widths of the searches in which the engines are compared, metres.
     pub half_widths_m: Vec<f64>,
-    /// Occupied cells of the batches they are compared on.
+    /// Occupied cells of the batches on which they are compared.
     pub cells: Vec<usize>,
-    /// Batches of each size.
+    /// Number of batches of each size.
     pub sized: usize,
-    /// Questions of vehicles that are lost.
+    /// Number of requests of lost vehicles.
     pub lost: usize,
 }
 
 impl BenchPlan {
-    /// All of it, in some minutes.
+    /// The full measurement, in some minutes.
     pub fn full(seed: u64) -> Self {
         let blocks = (3, 2);
         Self {
@@ -92,7 +90,7 @@ impl BenchPlan {
         }
     }
 
-    /// Little of it: that it works, rather than what it costs.
+    /// A small measurement, which shows whether the benchmark works, and not what a fix costs.
     pub fn quick(seed: u64) -> Self {
         let blocks = (2, 1);
         Self {
@@ -111,34 +109,34 @@ impl BenchPlan {
     }
 }
 
-/// What was measured.
+/// The figures that were measured.
 #[derive(Debug, Clone, Serialize)]
 pub struct Figures {
-    /// How much was measured.
+    /// How much was measured, and in what town.
     pub plan: BenchPlan,
-    /// On what.
+    /// The machine.
     pub machine: Machine,
     /// Kilometres of the town's streets.
     pub street_km: f64,
     /// Detections of the median request.
     pub detections: usize,
-    /// What the map's uploads cost.
+    /// What the uploads of the map cost.
     pub uploads: UploadCost,
-    /// A street seen for the first time.
+    /// A street for which no tiles were prepared yet.
     pub cold: Cold,
-    /// Load, by the service's compute threads.
+    /// The service under load, by the number of its compute threads.
     pub loads: Vec<Load>,
-    /// The same questions, refused before they are aligned: what everything else costs.
+    /// The same requests, refused before the alignment: what all else costs.
     pub refused: Load,
-    /// Where the time of one request goes, in process.
+    /// How long each step of a request takes, in this process.
     pub inside: Inside,
-    /// The alignment alone.
+    /// The search and the whole fix, by engine.
     pub engines: Vec<EngineTiming>,
     /// The search by the size of window and batch.
     pub sizes: Vec<Size>,
-    /// One request by the length of its batch.
+    /// A request by the length of its batch.
     pub lengths: Vec<Length>,
-    /// The wide search.
+    /// Relocalization.
     pub lost: Lost,
     /// Horizontal errors of all answers, metres.
     pub error_m: Option<Percentiles>,
@@ -146,15 +144,15 @@ pub struct Figures {
     pub usable_share: f64,
 }
 
-/// Compute threads of the service under load.
+/// Numbers of compute threads of the service under load.
 const THREADS: [usize; 2] = [1, 2];
-/// More detections than any batch has: every question is refused once it is organised.
+/// More detections than any batch has: the service refuses every request after it has organised it.
 const NEVER_ENOUGH: &str = "locating.min_detections=1000000000";
 
-/// Measures in a folder of its own.
+/// Measures, with the map in this folder.
 ///
 /// # Errors
-/// When a step of the way fails or the answers are not sane.
+/// When a step fails, or the fixes are so bad that their cost means nothing.
 pub async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Result<Figures> {
     say("A town is mapped.");
     let town = BenchTown::mapped(&plan, folder).await?;
@@ -198,7 +196,7 @@ pub async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow:
     })
 }
 
-/// A service of so many compute threads, warmed and put under load.
+/// Starts a service of so many compute threads, fills its caches and puts it under load.
 async fn loaded(
     plan: &BenchPlan,
     town: &BenchTown,
@@ -219,7 +217,8 @@ async fn loaded(
     Ok((load, answers.into_iter().map(fix).collect()))
 }
 
-/// Answers that no working service would give are an error: figures for them would mean nothing.
+/// The errors of the fixes and the fraction that is usable. Fixes that no working service would give are an error: their
+/// cost would mean nothing.
 fn sane(fixes: &[FixRecord]) -> anyhow::Result<(Option<Percentiles>, f64)> {
     let answered: Vec<f64> = fixes.iter().filter_map(FixRecord::error_m).collect();
     ensure!(

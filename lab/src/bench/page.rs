@@ -13,15 +13,15 @@ use super::town::UploadCost;
 use super::{BenchPlan, Figures};
 use echofix_harness::percentiles::Percentiles;
 
-/// The figures in Markdown; `command` is how they were made.
+/// The figures in Markdown. `command` is the command that measured them.
 pub fn page(figures: &Figures, command: &str) -> String {
     let Figures { plan, machine, loads, refused, cold, inside, engines, .. } = figures;
     let BenchPlan { seed, contributors, questions, load_s, .. } = plan;
     let mut page = format!(
-        "`{command}`, on {} cores of an {}, {:.0} GiB; other work on the machine raises every time, so compare within \
-         one run. BenchTown seed {seed}, {:.1} km of streets mapped by {contributors} vehicle(s); {questions} questions at most, one a \
-         second of a drive three days later, 5 s batches (the median request has {} detections), priors of sigma 2 m and \
-         3 deg; {load_s:.0} s of load a row.\n",
+        "`{command}`, on {} cores of an {}, {:.0} GiB. Other work on the machine raises every time, so compare within \
+         one run. The town has seed {seed} and {:.1} km of streets, mapped by {contributors} vehicle(s). Another vehicle drives there \
+         three days later; each second it sends a request, at most {questions} in all, with a 5 s batch (the median one has {} detections) \
+         and a prior of sigma 2 m and 3 deg. Each row of load lasts {load_s:.0} s.\n",
         machine.cores, machine.processor, machine.memory_gib, figures.street_km, figures.detections,
     );
     page += &under_load(loads, refused);
@@ -35,14 +35,14 @@ pub fn page(figures: &Figures, command: &str) -> String {
     if let Some(Percentiles { p50, p95, p99 }) = figures.error_m {
         let usable = figures.usable_share * 100.0;
         let line = format!(
-            "\nThe answers under load erred by {p50:.2} / {p95:.2} / {p99:.2} m (50 / 95 / 99 %), {usable:.0} % were usable.\n"
+            "\nUnder load, the fixes had errors of {p50:.2} / {p95:.2} / {p99:.2} m (50 / 95 / 99 %); {usable:.0} % were usable.\n"
         );
         page += &line;
     }
     page
 }
 
-/// A table's head.
+/// The heading and the first lines of a table.
 fn head(title: &str, columns: &[&str]) -> String {
     let columns_md: String = columns.iter().fold(String::new(), |line, column| line + " | " + column);
     format!("\n## {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
@@ -76,8 +76,8 @@ fn under_load(loads: &[Load], refused: &Load) -> String {
         );
     }
     table
-        + "\nThe service is a process of its own on the same cores as its clients, which ask over loopback gRPC, each again as \
-           soon as it is answered. \"Not aligned\": the same requests, refused once they are organised.\n"
+        + "\nThe service is a separate process on the same cores as its clients. Each client sends its next request over loopback \
+           gRPC as soon as the last one is answered. \"Not aligned\": the service refuses the same requests after it has organised them.\n"
 }
 
 fn or_unknown(value: Option<f64>, digits: usize) -> String {
@@ -123,8 +123,8 @@ fn by_size(sizes: &[Size], plan: &BenchPlan) -> String {
     let batches = plan.sized;
     table
         + &format!(
-            "\nMeans of {batches} batch(es), 19 headings; larger batches hold copies of their detections, scattered by \
-             0.6 m. `bounded` asks `fft` where its bounds rule out too little.\n"
+            "\nMeans of {batches} batch(es), 19 headings. Larger batches contain copies of their detections, scattered by \
+             0.6 m. `bounded` hands a batch to `fft` where its bounds exclude too few hypotheses.\n"
         )
 }
 
@@ -148,9 +148,9 @@ fn of_lost(lost: &Lost) -> String {
     let Lost { off_m, asked, found, trusted, misled, fix_ms } = lost;
     let ms = fix_ms.map_or(String::new(), |ms| format!("{:.1} / {:.1} / {:.1}", ms.p50, ms.p95, ms.p99));
     format!(
-        "\n## Lost vehicles\n\nBelieved up to {off_m} m from the truth, east and north, any heading: of {asked} questions the \
-         wide search's best answer is right (within 1 m and 3 deg) for {found}; its verdict trusts {trusted} of those, and \
-         {misled} that are not. Search, refinement and verdict take {ms} ms (50 / 95 / 99 %).\n"
+        "\n## Lost vehicles\n\nThe priors are up to {off_m} m off, east and north, with any heading. Relocalization finds the right pose \
+         (within 1 m and 3 deg) for {found} of {asked} requests. Its verdict is usable for {trusted} of these, and for {misled} of the \
+         others. Search, refinement and verdict take {ms} ms (50 / 95 / 99 %).\n"
     )
 }
 
@@ -158,8 +158,8 @@ fn of_uploads(uploads: &UploadCost) -> String {
     let UploadCost { count, kb, cpu_ms } = *uploads;
     let each = |all: f64| all / count.max(1) as f64;
     format!(
-        "\n## An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time: \
-         decoded, written, vetted against the map, folded into it.\n",
+        "\n## An upload\n\nThe map was made of {count} uploads of {:.0} kB. Each took {} ms of the service's processor time, to \
+         decode it, write it, vet it against the map and fold it.\n",
         each(kb),
         or_unknown(cpu_ms.map(each), 1)
     )
@@ -172,10 +172,10 @@ fn street(cold: &Cold) -> String {
     };
     let both =
         |ms: Option<Percentiles>| ms.map_or(String::new(), |ms| format!("{:.2} / {:.2}", ms.p50, ms.p99));
-    row("questions, over km of street", format!("{}, {:.2}", cold.asked, cold.street_km));
-    row("ms for the window of a question, 50 / 99 %", both(cold.window_ms));
-    row("... asked again, from the cache", both(cold.cached_ms));
-    row("CPU ms a street km, beyond the same questions again", or_unknown(cold.cpu_ms_per_km, 0));
+    row("requests, over km of street", format!("{}, {:.2}", cold.asked, cold.street_km));
+    row("ms for the map window of a request, 50 / 99 %", both(cold.window_ms));
+    row("... of the same requests again, from the cache", both(cold.cached_ms));
+    row("CPU ms a street km, beyond the same requests again", or_unknown(cold.cpu_ms_per_km, 0));
     row("memory of the process a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
     table
 }

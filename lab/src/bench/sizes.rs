@@ -1,4 +1,4 @@
-//! The search by the size of window and batch: which engine is the fastest where.
+//! The time of the search by the size of window and batch: which engine is the fastest?
 
 use std::collections::HashSet;
 
@@ -18,23 +18,23 @@ use super::BenchPlan;
 use super::case::Case;
 use super::inside::{InProcessService, timed};
 
-/// Copies of a detection lie so far from it, one sigma along each axis, metres.
+/// Standard deviation of the distance from a detection to its copies along each axis, metres.
 const SCATTER_M: f32 = 0.6;
-/// More copies of a batch than any size needs: what they add gets ever less.
+/// Largest number of copies of a batch. No size needs so many: each adds fewer cells than the last.
 const COPIES: usize = 200;
 
-/// The search in one window, of batches of one size.
+/// The time of the search in windows of one size, with batches of one size.
 #[derive(Debug, Clone, Serialize)]
 pub struct Size {
-    /// Shifts are searched so far in each direction, metres.
+    /// Half width of the search, metres.
     pub half_width_m: f64,
-    /// Occupied cells of a batch, the least of the cases.
+    /// Occupied cells of the batches: the smallest number among them.
     pub cells: usize,
-    /// Milliseconds of a search, by engine: the mean of the cases. `fast`'s has the thinning of the batch in it.
+    /// Mean milliseconds of a search, by engine. Those of `fast` include the thinning of the batch.
     pub ms: Vec<(&'static str, f64)>,
 }
 
-/// Times the searches of some requests in every window and size.
+/// Times the searches of some requests for every size of window and batch.
 ///
 /// # Errors
 /// When a request is malformed or the map cannot be read.
@@ -51,7 +51,7 @@ pub(super) fn measure(scene: &InProcessService, plan: &BenchPlan) -> anyhow::Res
     Ok(sizes)
 }
 
-/// A request whose search covers so many metres in each direction.
+/// The request with a prior whose search covers so many metres in each direction.
 fn widened(request: &LocalizeRequest, half_width_m: f64) -> LocalizeRequest {
     let mut request = request.clone();
     if let Some(prior) = &mut request.prior {
@@ -69,7 +69,7 @@ fn size(cases: &[Case], half_width_m: f64, cells: usize, seed: u64) -> anyhow::R
         let (batch, occupied) = denser(batch, cells, search.extent_m as f32, seed)?;
         least = least.min(occupied);
         pipeline.assemble(*square, tiles);
-        // The first time fills buffers.
+        // The first search fills the buffers.
         pipeline.thin(&batch.points, search.extent_m);
         ms[0].1 += timed(|| pipeline.thin(&batch.points, search.extent_m)).0;
         for (engine, (_, ms)) in engines.into_iter().zip(&mut ms) {
@@ -82,8 +82,7 @@ fn size(cases: &[Case], half_width_m: f64, cells: usize, seed: u64) -> anyhow::R
     Ok(Size { half_width_m, cells: least, ms: ms.map(mean).into() })
 }
 
-/// A batch with copies of its detections around them, until it occupies so many cells, and how many
-/// it does.
+/// The batch with copies of its detections around them, so that it occupies about `cells` cells; and how many it occupies.
 fn denser(batch: &Batch, cells: usize, reach_m: f32, seed: u64) -> anyhow::Result<(Batch, usize)> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let scatter = Normal::new(0.0, SCATTER_M)?;
@@ -101,7 +100,7 @@ fn denser(batch: &Batch, cells: usize, reach_m: f32, seed: u64) -> anyhow::Resul
     Ok((denser, occupied.len()))
 }
 
-/// The cell of a point within reach.
+/// The cell of a point; `None` beyond reach.
 fn cell(point: BodyPoint, reach_m: f32) -> Option<[i32; 2]> {
     let BodyPoint { x_m, y_m } = point;
     (x_m.hypot(y_m) <= reach_m).then(|| [x_m, y_m].map(|at| (f64::from(at) / CELL_M).floor() as i32))

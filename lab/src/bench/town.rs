@@ -1,4 +1,4 @@
-//! A town, mapped through the vehicles' own uploads, and what another vehicle asks in it.
+//! A town that vehicles map by their uploads, and the requests of another vehicle in it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,41 +14,41 @@ use echofix_harness::process::ServiceProcess;
 use echofix_harness::questions::{DriveQuestions, QuestionPlan};
 use echofix_harness::{recording, town, uploading};
 
-/// Two vehicles are enough to make a map.
+/// One contributor is enough to publish a cell, because few vehicles map the town.
 pub const TRUSTING: &str = "mapping.publish_contributors=1";
 
-/// Seconds of a batch.
+/// Length of a batch, seconds.
 const BATCH_S: f64 = 5.0;
-/// Seconds of the batches that are compared.
+/// Lengths of the batches that are compared, seconds.
 const LENGTHS_S: [f64; 4] = [1.0, 2.0, 5.0, 8.0];
 
-/// Days between mapping and asking: the parked cars have changed.
+/// Days between mapping and localizing: other cars are parked by then.
 const DAYS_LATER: u32 = 3;
 
-/// What the vehicles' uploads cost the service: decoded, written, vetted against the map and folded into it.
+/// What the vehicles' uploads cost the service, which decodes, writes, vets and folds them.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct UploadCost {
-    /// How many.
+    /// Number of uploads.
     pub count: u64,
     /// Kilobytes of all of them on the wire.
     pub kb: f64,
-    /// Milliseconds of the service's processor time for all of them; absent where the system does not tell.
+    /// Milliseconds of the service's processor time for all of them; absent where the system does not report it.
     pub cpu_ms: Option<f64>,
 }
 
-/// A town whose map lies in a folder.
+/// A town whose map lies in a folder, and a drive in it.
 pub(super) struct BenchTown {
     pub(super) uploads: UploadCost,
     pub(super) street_km: f64,
     pub(super) recording: Arc<DriveQuestions>,
-    /// The same drive, asking with batches of other lengths, by seconds.
+    /// The requests of the same drive with batches of other lengths, by their seconds.
     pub(super) by_length: Vec<(f64, DriveQuestions)>,
-    /// Metres driven from the first question to the last.
+    /// Metres driven from the first request to the last.
     pub(super) asked_over_m: f64,
 }
 
 impl BenchTown {
-    /// Maps a town through a service that is ended afterwards.
+    /// Maps a town with a service that ends afterwards.
     pub(super) async fn mapped(plan: &BenchPlan, folder: &Path) -> anyhow::Result<Self> {
         let (blocks_x, blocks_y) = plan.blocks;
         let params = CityParams { seed: plan.seed, blocks_x, blocks_y, ..CityParams::default() };
@@ -73,7 +73,7 @@ impl BenchTown {
         Self::asked(plan, &city, uploads)
     }
 
-    /// What a vehicle asks on a later day, each second of a drive.
+    /// Drives through the town on a later day, with a request each second.
     fn asked(plan: &BenchPlan, city: &City, uploads: UploadCost) -> anyhow::Result<Self> {
         let seed = plan.seed * 1000 + 999;
         let route = Route::survey(city, seed);
@@ -93,12 +93,12 @@ impl BenchTown {
     }
 }
 
-/// When to ask, with batches of so many seconds.
+/// A request each second, with batches of this length.
 fn questions(plan: &BenchPlan, batch_s: f64) -> QuestionPlan {
     QuestionPlan { batch_s, warm_up_s: batch_s, ..QuestionPlan::every(1.0, plan.seed) }
 }
 
-/// Ends a drive some time after `end_us`, so that its last question is for about then.
+/// Removes the scans after `end_us`, so that the last request is for about that time.
 fn cut(drive: &mut Drive, end_us: i64) {
     drive.scans.retain(|scan| scan.time_us <= end_us);
 }

@@ -8,10 +8,10 @@ use super::tables;
 
 const WORDS: &str = "## What each step is worth
 
-From the paper's method on, one step a line: movers gated by their radial speeds, which also correct the odometry; the log
-weights of smoothed hits in place of occupancy; the candidate refined with unrounded, thinned points; odometry's drift as part of the
-answer, which is `echofix`. Then the same without radial speeds, and with a search that is exact. At the same epochs, from
-the same priors.
+From the paper's method to `echofix`, each line adds one step. The first step drops movers by their radial speeds, and corrects the
+odometry by those of standing objects. The second takes log weights of smoothed hits instead of occupancy. The third refines the
+candidate with unrounded, thinned points. The last estimates the drift with the pose; this is `echofix`. Two more lines show
+`echofix` without radial speeds, and with an exact search. All lines have the same epochs and priors.
 ";
 
 /// The section.

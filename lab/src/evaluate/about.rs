@@ -38,20 +38,20 @@ fn command(args: impl Iterator<Item = String>) -> String {
 }
 
 const SIMULATED: &str =
-    "Each town is mapped on a Thursday and driven again on the Sunday after, on the way of its first
-contributor, with other cars parked and other traffic, batches organised without drift unless said
-otherwise. The parameters are those of `echofix_sim::downtown`, which says what was tuned to come near
-the paper's printed figures, and that it was tuned with the paper's method alone. Errors are against the
-exact truth. The paper's are against the reference solution of the localized drive, which has errors of its
-own; the last columns of the first table measure like that.";
+    "Each town is mapped on a Thursday. On the Sunday after, another vehicle drives the route of the first
+contributor; other cars are parked by then, and the traffic is another. Batches are organised by odometry
+without drift unless a table says otherwise. The towns have the parameters of `echofix_sim::downtown`. Its
+documentation says which of them were tuned to come near the paper's printed figures; only the paper's method
+was used for that. Errors are measured against the exact truth. The paper measured them against the reference
+solution of the localized drive, which has errors of its own; the last columns of the first table do the same.";
 
-const METHOD: &str = "`paper` takes the hypothesis of the highest correlation, as printed, from maps and batches without a gate
-for movers; `echofix` is what the service answers, batches organised by odometry that radial
-speeds corrected. Both get the same epochs, about a second of driving apart, after at least a second above
-1 m/s, and the same priors of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percentiles; in brackets
-95 % confidence intervals, from a bootstrap over blocks of two minutes, for epochs near each other are not
-independent. `Map's own error` is how far off the poses were, on average, that the map was
-made from: nothing that aligns with the map can know of it.";
+const METHOD: &str = "`paper` is the paper's algorithm as printed: the hypothesis of the highest correlation, with movers in maps and
+batches. `echofix` is what the service answers; its batches are organised by odometry that radial speeds
+corrected. Both get the same epochs: about a second of driving apart, after at least a second above 1 m/s. Both
+get the same priors, of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percentiles. Brackets hold 95 %
+confidence intervals, by a bootstrap over blocks of two minutes, because epochs near each other are not
+independent. `Map's own error` is the mean error of the poses that the map was made from. No method that aligns
+with the map can detect it.";
 
 /// What all experiments share: their data and methods.
 pub fn shared(about: &About) -> String {

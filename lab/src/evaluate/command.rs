@@ -19,49 +19,49 @@ use echofix_harness::progress;
 /// Arguments of `echofix evaluate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A few epochs of everything, in a few minutes.
+    /// Evaluate few epochs of few worlds, in some minutes, and check that the results are plausible.
     #[arg(long)]
     quick: bool,
-    /// Seeds of the simulated towns.
+    /// Seeds of the simulated towns. A world is one town, or the drive logs given, with its maps and a drive.
     #[arg(long, value_delimiter = ',', default_value = "21,22,23,24,25,26,27,28")]
     world_seeds: Vec<u64>,
-    /// Epochs of a town or log, at most.
+    /// Largest number of epochs in a world. At each epoch every method localizes the batch that ends there.
     #[arg(long, default_value_t = 300)]
     epochs_per_world: usize,
-    /// Of those, epochs at which every condition is asked, not the headline's alone.
+    /// Number of these epochs at which all conditions are evaluated, and not only those of the headline.
     #[arg(long, default_value_t = 60)]
     swept_per_world: usize,
-    /// Seconds of driving between epochs.
+    /// Time between epochs, seconds of driving.
     #[arg(long, default_value_t = 1.0)]
     every_s: f64,
-    /// Priors drawn an epoch.
+    /// Random priors at each epoch.
     #[arg(long, default_value_t = 1)]
     priors: usize,
-    /// Seed of priors and drift.
+    /// Seed of the priors and of the odometry's drift.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Only these experiments.
+    /// The experiments to run. Without it: headline to misses in the list below.
     #[arg(long, value_delimiter = ',')]
     only: Vec<Experiment>,
-    /// The methods, in the order of the tables.
+    /// The methods to compare, in the order of the tables.
     #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
     methods: Vec<MethodName>,
-    /// Contributors of the crowd experiment's maps.
+    /// Numbers of contributors to the maps of the experiment `crowd`.
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
-    /// Localize this drive log instead of simulated drives; needs --map.
+    /// Localize this drive log instead of simulated drives. Needs --map.
     #[arg(long, requires = "map")]
     drive: Option<PathBuf>,
-    /// Make the map of this drive log; may be given several times, in the order they join the map.
+    /// Build the map from this drive log. Several may be given; they are added in this order.
     #[arg(long, requires = "drive")]
     map: Vec<PathBuf>,
-    /// Organise a log's batches by its known poses, as the paper did, instead of by its odometry.
+    /// Organise the batches of the log by its known poses, as the paper did, and not by its odometry.
     #[arg(long, requires = "drive")]
     known_odometry: bool,
     /// Reference poses of a log with a larger sigma are not mapped from, metres.
     #[arg(long, default_value_t = 0.3)]
     max_sigma_m: f64,
-    /// Memory for prepared windows, mebibytes.
+    /// Memory for prepared map windows, mebibytes.
     #[arg(long, default_value_t = 1024)]
     windows_mib: u64,
     /// Write every fix to this CSV file.
@@ -76,7 +76,7 @@ pub struct Args {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a world cannot be made, a file not be written, or the figures are not sane.
+/// When a world cannot be made, a file cannot be written, or the results of a quick run are not plausible.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let (own, experiments): (Vec<_>, Vec<_>) =
         experiments(args).into_iter().partition(|e| Experiment::OF_THE_CROWD.contains(e));

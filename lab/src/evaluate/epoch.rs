@@ -9,9 +9,9 @@ use echofix_core::geo::CellIndex;
 use echofix_core::odometry::Trajectory;
 use echofix_core::point::{BodyPoint, MapPoint};
 use echofix_core::pose::Pose2;
+use echofix_harness::prior::PriorSigma;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 use super::condition::Condition;
 use super::map::Movers;
@@ -27,10 +27,9 @@ const DRIVEN_US: i64 = 1_000_000;
 /// changed, microseconds.
 const BLOCK_US: i64 = 120_000_000;
 
-/// The paper's rough guess: one sigma of the position along each axis, metres.
-pub const SIGMA_POSITION_M: f64 = 2.0;
-/// Of the heading, degrees.
-pub const SIGMA_YAW_DEG: f64 = 3.0;
+/// The paper's priors. The heading's sigma is by one bit larger than that of [`PriorSigma::PAPER`]: the published figures
+/// were made with this one.
+pub const PRIOR_SIGMA: PriorSigma = PriorSigma { yaw_rad: 3_f64.to_radians(), ..PriorSigma::PAPER };
 
 /// A time at which fixes are asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -162,22 +161,16 @@ fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajec
     Ok(part)
 }
 
-/// The paper's rough guess: the pose with an error drawn from its sigmas.
+/// A pose with an error drawn from [`PRIOR_SIGMA`], as the prior of an alignment.
 pub fn prior(around: &Pose2, scale: f64, seed: u64) -> Prior {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-    let sigma_yaw_rad = SIGMA_YAW_DEG.to_radians();
-    let pose = Pose2::new(
-        around.x_m + SIGMA_POSITION_M * normal(),
-        around.y_m + SIGMA_POSITION_M * normal(),
-        around.yaw_rad + sigma_yaw_rad * normal(),
-    );
-    Prior { pose, sigma_position_m: SIGMA_POSITION_M, sigma_yaw_rad, scale }
+    let pose = PRIOR_SIGMA.drawn_around(around, &mut ChaCha8Rng::seed_from_u64(seed));
+    Prior { pose, sigma_position_m: PRIOR_SIGMA.position_m, sigma_yaw_rad: PRIOR_SIGMA.yaw_rad, scale }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand_distr::{Distribution, StandardNormal};
 
     #[test]
     fn thinning_keeps_the_spread() {
@@ -194,15 +187,18 @@ mod tests {
         assert!((part.at(620).unwrap().x_m - 6.2).abs() < 1e-9);
     }
 
+    /// Catches: draws in another order or from another sigma, which would change every published figure.
     #[test]
-    fn priors_err_by_their_sigmas() {
-        let (mut position, mut yaw) = (0.0, 0.0);
-        for seed in 0..2000 {
-            let prior = prior(&Pose2::IDENTITY, 1.0, seed);
-            position += prior.pose.x_m.powi(2) / 2000.0;
-            yaw += prior.pose.yaw_rad.to_degrees().powi(2) / 2000.0;
+    fn priors_are_those_of_the_published_figures_to_the_bit() {
+        let around = Pose2::new(621_000.25, 3_349_000.5, 0.7);
+        for seed in 0..1000 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+            let (x_m, y_m) = (around.x_m + 2.0 * normal(), around.y_m + 2.0 * normal());
+            let expected = Pose2::new(x_m, y_m, around.yaw_rad + 3_f64.to_radians() * normal());
+            let drawn = prior(&around, 0.9996, seed);
+            assert_eq!(drawn.pose, expected, "seed {seed}");
+            assert_eq!((drawn.sigma_position_m, drawn.sigma_yaw_rad), (2.0, 3_f64.to_radians()));
         }
-        assert!((f64::sqrt(position) - 2.0).abs() < 0.1, "{position}");
-        assert!((f64::sqrt(yaw) - 3.0).abs() < 0.15, "{yaw}");
     }
 }

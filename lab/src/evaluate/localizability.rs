@@ -75,10 +75,10 @@ pub fn section(rows: &[EpochRecord], base: &Condition) -> String {
     let streets: Vec<&EpochRecord> = rows.iter().copied().filter(|row| !is_scene(row.site_kind)).collect();
     let correlated = rank(&streets).map_or("-".to_owned(), |value| format!("{value:.2}"));
     [
-        "## Localizability\n\nWhat the map alone expects of a fix at the true position, from the fit of its own structure with itself, beside what came of it. Towns, by the expected sigma, a fifth of the fixes a line; the map's own error is left out on both sides, for the place has no part in it:\n",
+        "## Localizability\n\nThe map alone predicts what a fix at the true position will be, from how well its structure fits itself when shifted. The tables compare this prediction with the fixes that were made. Towns, sorted by the expected sigma, a fifth of the fixes in each line. Both sides are without the map's own error, because it does not depend on the structure at a position:\n",
         &by_sigma(&streets),
         &format!("Rank correlation of expected sigma and realised error: {correlated}.\n"),
-        "Streets that are made to be mistaken, and towns: what was expected, and what came of it.\n",
+        "Scenes with many positions that look alike, and towns: what was expected, and what the fixes were.\n",
         &by_site_kind(&rows),
     ]
     .join("\n")
@@ -136,7 +136,7 @@ fn by_sigma(rows: &[&EpochRecord]) -> String {
 
 fn by_site_kind(rows: &[&EpochRecord]) -> String {
     let site_kinds: BTreeSet<&str> = rows.iter().map(|row| row.site_kind).collect();
-    let mut table = "| site | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
+    let mut table = "| town or scene | fixes | expected usable | expected ambiguous | expected too little | usable | wrong by > 1 m | wrong where usable was expected |\n|---|---|---|---|---|---|---|---|\n".to_owned();
     for site_kind in site_kinds {
         let here: Vec<&EpochRecord> = rows.iter().copied().filter(|row| row.site_kind == site_kind).collect();
         let expected = |word| cells::percent(&here, |row| row.forecast == word);

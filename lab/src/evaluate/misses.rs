@@ -45,7 +45,7 @@ pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
         "exact, ms 50 / 99 %",
     ];
     let mut text = format!(
-        "## Does the fast search find the maximum?\n\n`fast` looks at the best candidates of a coarse image; `bounded` proves its maximum. Answers more than {:.0} cm apart \
+        "## Does the fast search find the maximum?\n\n`fast` examines the best candidates of a coarse image; `bounded` proves that it found the maximum. Answers more than {:.0} cm apart \
          came from different candidates.\n\n| | {} |\n|{}\n",
         100.0 * SAME_M,
         columns.join(" | "),

@@ -87,8 +87,8 @@ pub fn rocs(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
         let mut chart = framed(&areas[0], title).build_cartesian_2d(0.0..1.0, 0.0..1.0)?;
         chart
             .configure_mesh()
-            .x_desc("right answers refused, fraction")
-            .y_desc("wrong answers refused, fraction")
+            .x_desc("fraction of the right answers refused")
+            .y_desc("fraction of the wrong answers refused")
             .label_style(("sans-serif", 15))
             .light_line_style(TRANSPARENT)
             .draw()?;

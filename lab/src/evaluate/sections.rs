@@ -53,7 +53,7 @@ fn headline(rows: &[&EpochRecord], base: Condition) -> Section {
     let rows = under(rows, &base, false);
     let groups = by_method(&rows);
     let text = [
-        "## Five-second batches\n\nThe paper prints 44 cm and 0.59 deg at 95 %. Its method never says no, so all of its fixes count as usable.\n",
+        "## Five-second batches\n\nThe paper prints 44 cm and 0.59 deg at 95 %. Its method refuses no fix, so that all of its fixes count as usable.\n",
         &tables::errors(&groups),
         &tables::integrity(&groups),
         &tables::covariance(&groups),
@@ -78,17 +78,17 @@ fn swept(experiment: Experiment, rows: &[&EpochRecord], conditions: &[Condition]
     let (title, words, file) = match experiment {
         Experiment::Batch => (
             "Batch length",
-            "The paper: the medians are alike, and batches shorter than 4 s miss an alert limit of 50 cm at a risk of 0.05 a batch.\n",
+            "The paper reports that the medians are alike, and that batches shorter than 4 s exceed an alert limit of 50 cm with a probability above 0.05.\n",
             "ccdf-batch.svg",
         ),
         Experiment::Drift => (
             "Drift of the odometry",
-            "The standard deviation at the end of 5 s. The offset is the paper's quantity: that of the drifted trajectory as a whole, which starts without error; the newest pose is what a vehicle uses, and has the drift's own error in it. The paper prints 67 cm and 1.17 deg at 95 % for the quadratic drift of 40 cm and 1 deg.\n",
+            "Each line names the standard deviation of the drift after 5 s. The offset is what the paper measures: the error of the drifted trajectory as a whole, which starts without error. The newest pose is what a vehicle uses; its error contains the drift. For the quadratic drift of 40 cm and 1 deg, the paper prints 67 cm and 1.17 deg at 95 %.\n",
             "ccdf-drift.svg",
         ),
         _ => (
             "A crowd",
-            "Maps of more contributors, who took other ways at other times of the same day. The map's own error shrinks as their poses average. Fixes gain less: what is left once the map is good to some centimetres is what 5 s of returns tell.\n",
+            "The maps of several contributors, who drove other routes at other times of the same day. The map's own error shrinks, because the errors of their poses average out. Fixes gain less: once the map is good to some centimetres, the 5 s of detections limit them.\n",
             "ccdf-crowd.svg",
         ),
     };
@@ -158,7 +158,7 @@ fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
         .collect();
     let asked = Integrity::default().min_margin;
     let words = format!(
-        "## Ambiguity\n\nStreets that are made to be mistaken: rows of parked cars of one pitch and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well does the score of the best alternative, relative to the answer's (`paper`), or the log-likelihood by which the answer exceeds it (`echofix`, which asks for {asked} nats), tell answers that are wrong by more than a metre?\n"
+        "## Ambiguity\n\nScenes with many positions that look alike: parked cars at equal distances and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well can a method detect answers that are wrong by more than a metre? `paper` does so by the score of the best alternative relative to the answer's. `echofix` does so by the margin, the log-likelihood by which the answer exceeds the best alternative; a usable answer needs {asked} nats.\n"
     );
     let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {

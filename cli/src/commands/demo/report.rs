@@ -1,4 +1,4 @@
-//! The demo's figures beside the paper's.
+//! The figures of the demo, beside the paper's.
 
 use echofix_harness::percentiles::{PAPER_95, Percentiles};
 use echofix_harness::process::ServiceProcess;
@@ -51,7 +51,7 @@ impl Report<'_> {
     }
 }
 
-/// The figures beside the paper's.
+/// Prints the figures beside the paper's.
 fn table(summary: &FixSummary) {
     let row = |name: &str, unit: &str, p: Option<Percentiles>, scale: f64, paper: String| {
         if let Some(Percentiles { p50, p95, p99 }) = p {

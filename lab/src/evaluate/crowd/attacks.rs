@@ -208,10 +208,10 @@ fn words(contributors: u64) -> String {
     format!(
         "## Bad contributors
 
-{contributors} contributors drive 900 m each, on a day of their own; the bad ones among them on {BAD_DAYS} days. Served is what at least {LEAST}
-contributors support. The wall stands across a street, {WALL_M} m long; the cells served of it are those that only bad contributors hit, by
-less than 30 cm from it, and in the honest line what of clutter is served there anyway. There the same vehicles drive as often and do
-nothing bad: that is the error before an attack.
+Each of {contributors} contributors drives 900 m on a day of his own; a bad one drives on {BAD_DAYS} days. The map serves what at least {LEAST}
+contributors support. The made-up wall is {WALL_M} m long and crosses a street. The table counts the served cells less than 30 cm from it
+that only bad contributors hit. In the honest line the same vehicles drive as often and do nothing bad: it shows the clutter that is
+served there anyway, and the error without an attack.
 "
     )
 }

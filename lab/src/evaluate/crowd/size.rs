@@ -189,11 +189,11 @@ impl SizeLine {
 
 const WORDS: &str = "## Upload size
 
-What the uploads of three contributors take, by kilometre that each drives, and what the map that is served of them is then worth to
-another vehicle days later. The same questions are asked of every map; the ratios compare its errors with those of the finest one where
-neither is wrong by a metre, in brackets 95 % intervals of a bootstrap over blocks of two minutes in which both are drawn together. Each
-form is compressed and has what was in view in it, as what vehicles send. The map smooths hits by 20 cm, so that where in a 10 cm cell
-they lie tells it next to nothing.
+How large the uploads of three contributors are, for each kilometre that one of them drives, and how well another vehicle is localized
+days later on the map that is served of them. All maps get the same requests. The ratios compare the errors on a map with those on the
+finest one, at requests where neither is wrong by a metre. Brackets hold 95 % intervals, by a bootstrap over blocks of two minutes that
+draws both together. Every form is compressed and contains what was in view, as the uploads of vehicles do. The map smooths hits by
+20 cm, so that the position of a hit within a cell of 10 cm hardly matters.
 ";
 
 /// The experiment.

@@ -250,12 +250,13 @@ impl SupportLine {
 
 const WORDS: &str = "## Support
 
-A cell is served once three contributors hit something near it. How near? Wide rules let one contributor, as the third, serve what he made
-up where two honest ones saw clutter; narrow ones serve less of what stands. Contributors drive every street, each on a day of his own;
-made up are cells in the lanes, more than 50 cm from anything that stands in the town. Clutter adds up: a number of contributors protects
-less the more of them drive, and only a fraction of them would protect for good. A fraction is not what the service asks for: a new
-building would not be served before most of those who ever drove there had come again. It asks for three in the same block of 40 cm
-and, where six passes had the cell in view, for two of them in the cell itself: no cell is served there on the word of one.
+A cell is served once three contributors have hit something near it. How near? Where two honest contributors saw clutter, a third can
+add a hit that he made up, and a wide rule then serves it. A narrow rule serves less of what really stands. In this experiment each
+contributor drives every street, on a day of his own. The made-up cells lie in the lanes, more than 50 cm from anything that stands in
+the town. Clutter adds up: the more contributors drive, the less a fixed number of them protects. A fraction of them would always
+protect, but the service does not ask for one: it would serve a new building only after most of those who ever drove there had come
+again. The service asks for three in the same block of 40 cm. Where six passes had the cell in view, it also asks for two in the cell
+itself, so that one contributor alone can get no cell served there.
 ";
 
 const COLUMNS: [&str; 8] = [

@@ -119,8 +119,8 @@ fn count(map: &mut CrowdMap, uploads: &[VehicleUpload]) -> Counts {
 
 const WORDS: &str = "## Vetting
 
-Uploads of about 10 s held against maps of contributors that drove every street on other days, and of whom none was the
-uploads' own. In brackets those that met nothing to be held against.
+Uploads of about 10 s are compared with the maps of other contributors, who drove every street on other days. In brackets: how
+many uploads lie where the map has nothing to compare them with.
 ";
 
 /// A line of the table.

@@ -189,11 +189,12 @@ fn words(calendar: &Calendar, [uploads, quarantined]: [usize; 2]) -> String {
     format!(
         "## A year
 
-Five vehicles map a town all on day 0, then two of them every {every} days, 900 m each. Parked cars change every day. One building is
-gone from day 90 on, one is built on day 150, and from day 60 to 179 one street is a building site: containers stand along both kerbs
-where else cars park and hide the fronts behind them, with barriers before them. (Its lanes stay open: in a street that is closed there
-is nobody to ask where he is.) Another vehicle drives every street on the days of the table. `paper, map of day 0` never changes; `paper, everything added` adds hits up; `echofix` is
-what the service serves of what at least three contributors support. Of {uploads} uploads {quarantined} were quarantined.
+All five vehicles map a town on day 0. After that, every {every} days, two of them drive 900 m each. Parked cars change every day. One
+building disappears on day 90, and another one is built on day 150. From day 60 to 179 one street is a building site: containers,
+with barriers before them, stand along both kerbs where cars parked, and hide the fronts. (Its lanes stay open, because nobody needs
+a fix in a closed street.) On the days of the table another vehicle drives every street. `paper, map of day 0` never changes,
+`paper, everything added` adds all hits up, and `echofix` is what the service serves with the support of at least three
+contributors. Of {uploads} uploads {quarantined} were quarantined.
 "
     )
 }
