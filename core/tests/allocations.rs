@@ -57,14 +57,14 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 /// A body among walls and posts, and what it saw of them in 5 s.
-struct Scene {
+struct WarmScene {
     square: MapSquare,
     tiles: Vec<Arc<TileWeights>>,
     batch: Batch,
     prior: Prior,
 }
 
-impl Scene {
+impl WarmScene {
     fn new(seed: u64, sigma_position_m: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let zone = Zone::from_epsg(32614).expect("a zone of UTM");
@@ -141,7 +141,7 @@ fn weights(square: &MapSquare, points: &[MapPoint]) -> Vec<Arc<TileWeights>> {
 
 /// The largest number of allocations of a fix, after every scene was asked about once. Scenes lie at
 /// several positions and are asked about in turns, so that views and bounds are made anew each time.
-fn allocations(kind: EngineKind, scenes: &[Scene]) -> u64 {
+fn allocations(kind: EngineKind, scenes: &[WarmScene]) -> u64 {
     let mut aligner = Aligner::default();
     for scene in scenes {
         let alignment = scene.align(&mut aligner, kind);
@@ -159,11 +159,11 @@ fn allocations(kind: EngineKind, scenes: &[Scene]) -> u64 {
 /// Catches a buffer that is made anew for every fix: breaks with one `to_vec` anywhere on the way.
 #[test]
 fn a_warm_fix_allocates_nothing() {
-    let usual: Vec<_> = (0..3).map(|seed| Scene::new(seed, 2.0)).collect();
+    let usual: Vec<_> = (0..3).map(|seed| WarmScene::new(seed, 2.0)).collect();
     assert_eq!(allocations(EngineKind::Fast, &usual), 0, "fast");
     assert_eq!(allocations(EngineKind::Bounded, &usual), 0, "bounded");
     // Wider, where a coarser image is searched first; and narrow and wide in turns.
-    let mixed = [Scene::new(3, 4.0), Scene::new(4, 0.5), Scene::new(5, 4.0)];
+    let mixed = [WarmScene::new(3, 4.0), WarmScene::new(4, 0.5), WarmScene::new(5, 4.0)];
     assert_eq!(allocations(EngineKind::Fast, &mixed), 0, "fast, wide and narrow");
     assert_eq!(allocations(EngineKind::Bounded, &mixed), 0, "bounded, wide and narrow");
 }

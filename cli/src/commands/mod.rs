@@ -19,22 +19,21 @@ use echofix_core::drive::Drive;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ScanRange(RangeInclusive<usize>);
 
-/// The text is not a range of scans.
+/// A text that is not a range of scans.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a range of scans; write the first and the last, like 10-18")]
-pub struct NotAScanRange(String);
+#[error("`{0}` is not a range of scans; write the first and the last, counted from 1, like 10-18")]
+pub struct ScanRangeError(String);
 
 impl FromStr for ScanRange {
-    type Err = NotAScanRange;
+    type Err = ScanRangeError;
 
-    fn from_str(text: &str) -> Result<Self, NotAScanRange> {
-        let expected = || NotAScanRange(text.to_owned());
-        let (first, last) = text.split_once('-').ok_or_else(expected)?;
+    fn from_str(text: &str) -> Result<Self, ScanRangeError> {
         let number = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
-        match (number(first), number(last)) {
-            (Some(first), Some(last)) if first <= last => Ok(Self(first..=last)),
-            _ => Err(expected()),
-        }
+        text.split_once('-')
+            .and_then(|(first, last)| Some((number(first)?, number(last)?)))
+            .filter(|(first, last)| first <= last)
+            .map(|(first, last)| Self(first..=last))
+            .ok_or_else(|| ScanRangeError(text.to_owned()))
     }
 }
 
@@ -63,7 +62,7 @@ mod tests {
         "2-3".parse::<ScanRange>().unwrap().apply(&mut drive);
         assert_eq!(drive.scans.iter().map(|s| s.time_us).collect::<Vec<_>>(), [2, 3]);
         for text in ["", "5", "0-3", "4-2", "a-b"] {
-            assert_eq!(text.parse::<ScanRange>(), Err(NotAScanRange(text.to_owned())));
+            assert_eq!(text.parse::<ScanRange>(), Err(ScanRangeError(text.to_owned())));
         }
     }
 }

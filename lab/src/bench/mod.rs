@@ -7,7 +7,7 @@
 //! - [`inside`]: the service's parts in this process, step by step.
 //! - [`case`]: one alignment. [`engines`] and [`sizes`] time it engine by engine, and by the size of window and batch.
 //! - [`lengths`]: a request by the length of its batch.
-//! - [`lost`]: relocalization.
+//! - [`lost`]: the cost and the success of relocalization.
 //! - [`mod@page`]: the figures as a page.
 //!
 //! The service is a process of its own, so that its processor time and memory do not contain those of the clients.

@@ -22,7 +22,7 @@ use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
 
 use crate::store::{self, MapStore};
-use prepared_tiles::{PreparedTiles, WindowTiles};
+use prepared_tiles::{PreparedTiles, PreparedWindow};
 use slots::{ComputeSlot, ComputeSlots};
 
 /// A batch, what the vehicle believes, and what it needs.
@@ -386,7 +386,7 @@ const AGREES_WITHIN_M: f64 = 0.2;
 /// Time that a relocalization takes.
 const RELOCALIZATION_TIME: Duration = Duration::from_millis(100);
 
-fn used(found: &WindowTiles) -> MapUsed {
+fn used(found: &PreparedWindow) -> MapUsed {
     MapUsed {
         epoch: found.epoch,
         newest_day: found.tiles.iter().map(|t| t.newest_day).max().unwrap_or(0),

@@ -22,7 +22,7 @@ struct PreparedKey {
 }
 
 /// The tiles of a map window.
-pub(super) struct WindowTiles {
+pub(super) struct PreparedWindow {
     pub tiles: Vec<Arc<TileWeights>>,
     /// Epoch of the map when they were looked up.
     pub epoch: u64,
@@ -45,7 +45,7 @@ impl PreparedTiles {
     }
 
     /// The tiles of a map window; none where nothing is served. Blocks.
-    pub(super) fn get(&self, store: &dyn MapStore, frame: MapSquare) -> Result<WindowTiles, Arc<Error>> {
+    pub(super) fn get(&self, store: &dyn MapStore, frame: MapSquare) -> Result<PreparedWindow, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
         for tile in frame.tiles() {
@@ -53,7 +53,7 @@ impl PreparedTiles {
             y = (y.0.min(tile.y), y.1.max(tile.y));
         }
         let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
-        let mut found = WindowTiles { tiles: Vec::new(), epoch, cached: true };
+        let mut found = PreparedWindow { tiles: Vec::new(), epoch, cached: true };
         let mut reading = Reading { store, known: HashMap::new() };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
             let key = PreparedKey { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };

@@ -21,7 +21,7 @@ use crate::window::MapSquare;
 const EXTENT_M: f64 = 6.0;
 
 /// A small random scene: walls, posts and clutter; a batch that saw a part of it.
-struct Scene {
+struct SearchScene {
     view: MapView,
     batch: Batch,
     thinned: Vec<WeightedPoint>,
@@ -29,7 +29,7 @@ struct Scene {
     search: Search,
 }
 
-impl Scene {
+impl SearchScene {
     fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let zone = Zone::from_epsg(32614).unwrap();
@@ -104,7 +104,7 @@ fn weights(square: &MapSquare, points: &[MapPoint]) -> Vec<Arc<TileWeights>> {
     tiles.iter().map(|(id, _)| Arc::new(TileWeights::new(*id, find))).collect()
 }
 
-fn top(engine: &dyn Engine, workspace: &mut EngineWorkspace, scene: &Scene) -> (f64, Pose2) {
+fn top(engine: &dyn Engine, workspace: &mut EngineWorkspace, scene: &SearchScene) -> (f64, Pose2) {
     let mut candidates = Vec::new();
     engine.search(&scene.question(), workspace, &mut candidates);
     (candidates[0].score, candidates[0].correction)
@@ -115,7 +115,7 @@ fn top(engine: &dyn Engine, workspace: &mut EngineWorkspace, scene: &Scene) -> (
 fn exact_engines_find_the_maximum_of_the_reference() {
     let workspace = &mut EngineWorkspace::default();
     for seed in 0..1000 {
-        let scene = Scene::new(seed);
+        let scene = SearchScene::new(seed);
         let expected = top(&Reference::default(), workspace, &scene);
         assert_eq!(top(&Fft, workspace, &scene), expected, "fft, seed {seed}");
         assert_eq!(top(&Bounded::BEST, workspace, &scene), expected, "bounded, seed {seed}");
@@ -126,7 +126,7 @@ fn exact_engines_find_the_maximum_of_the_reference() {
 fn every_instruction_set_gives_the_same_bits() {
     let workspace = &mut EngineWorkspace::default();
     for seed in 2000..2100 {
-        let scene = Scene::new(seed);
+        let scene = SearchScene::new(seed);
         let mut answer = |isa| {
             let mut candidates = Vec::new();
             Fast::on(isa).search(&scene.question(), workspace, &mut candidates);
@@ -140,8 +140,8 @@ fn every_instruction_set_gives_the_same_bits() {
 /// Catches an engine that answers the first of several questions only, or mixes their buffers up.
 #[test]
 fn many_questions_at_once_are_answered_like_one_after_the_other() {
-    let scenes: Vec<_> = (3000..3004).map(Scene::new).collect();
-    let questions: Vec<_> = scenes.iter().map(Scene::question).collect();
+    let scenes: Vec<_> = (3000..3004).map(SearchScene::new).collect();
+    let questions: Vec<_> = scenes.iter().map(SearchScene::question).collect();
     let engines: [&dyn Engine; 4] = [&Fast::BEST, &Bounded::BEST, &Fft, &Reference::default()];
     for engine in engines {
         let mut together = vec![Vec::new(); questions.len()];
@@ -159,7 +159,7 @@ fn many_questions_at_once_are_answered_like_one_after_the_other() {
 fn scores_of_all_engines_are_in_one_unit() {
     let workspace = &mut EngineWorkspace::default();
     for seed in 0..50 {
-        let scene = Scene::new(seed);
+        let scene = SearchScene::new(seed);
         let ((exact, at), (fast, near)) = (top(&Fft, workspace, &scene), top(&Fast::BEST, workspace, &scene));
         assert!(at != near || (0.6..1.7).contains(&(fast / exact)), "seed {seed}: {fast} {exact}");
     }
@@ -170,7 +170,7 @@ fn the_papers_turned_spectrum_comes_near_the_maximum() {
     let workspace = &mut EngineWorkspace::default();
     let mut near = 0;
     for seed in 0..40 {
-        let scene = Scene::new(seed);
+        let scene = SearchScene::new(seed);
         let (_, exact) = top(&Reference::default(), workspace, &scene);
         let (_, shortcut) = top(&Reference::as_printed(), workspace, &scene);
         near += u32::from(exact.distance_m(&shortcut) < 0.35);
