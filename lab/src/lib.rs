@@ -8,5 +8,5 @@
 
 pub mod bench;
 pub mod evaluate;
-pub mod machine;
-pub mod report;
+mod machine;
+mod report;

@@ -40,13 +40,13 @@ use inside::Inside;
 use lengths::Length;
 use load::Load;
 use lost::Lost;
-pub use page::page;
+use page::page;
 use sizes::Size;
 use town::{BenchTown, UploadCost};
 
 /// How much is measured, and in what town.
 #[derive(Debug, Clone, Serialize)]
-pub struct BenchPlan {
+struct BenchPlan {
     /// Seed of the town, the drives and the priors.
     pub seed: u64,
     /// Blocks of the town, from west to east and from south to north.
@@ -111,7 +111,7 @@ impl BenchPlan {
 
 /// The figures that were measured.
 #[derive(Debug, Clone, Serialize)]
-pub struct Figures {
+struct Figures {
     /// How much was measured, and in what town.
     pub plan: BenchPlan,
     /// The machine.
@@ -153,7 +153,7 @@ const NEVER_ENOUGH: &str = "locating.min_detections=1000000000";
 ///
 /// # Errors
 /// When a step fails, or the fixes are so bad that their cost means nothing.
-pub async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Result<Figures> {
+async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Result<Figures> {
     say("A town is mapped.");
     let town = BenchTown::mapped(&plan, folder).await?;
     say(&format!("{} questions; a street for the first time.", town.recording.count()));
