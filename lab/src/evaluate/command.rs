@@ -98,7 +98,9 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     if rows.is_empty() && !experiments.is_empty() {
-        bail!("there is no epoch at which a fix could be asked for: the drives are too short or too slow");
+        bail!(
+            "the drives have no epoch at which the vehicle could be localized: they are too short or too slow"
+        );
     }
     if let Some(path) = &args.epochs {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;

@@ -36,7 +36,7 @@ pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
         by_site_kind.entry(pair.fast.site_kind).or_default().push(pair);
     }
     let columns = [
-        "questions",
+        "requests",
         "another candidate",
         "of them usable",
         "of those wrong by > 1 m",
