@@ -171,21 +171,21 @@ impl InProcessService {
             scale: grid.scale_factor(at)?,
         };
         let reach_m = search.sigmas * prior.sigma_position_m;
-        let frame = MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m);
+        let square = MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m);
         let mut stored = BTreeMap::new();
-        for id in frame.tiles() {
+        for id in square.tiles() {
             stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));
         }
         let weighed = |id: &TileId| Arc::new(TileWeights::new(*id, |at| stored.get(&at).map(|t| &**t)));
         let tiles = stored.keys().map(weighed).collect();
-        Ok(Case { square: frame, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
+        Ok(Case { square, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
     }
 }
 
 /// The requests of a drive that engines and steps are timed on, evenly spread over it.
 pub(super) fn timed_of(recording: &DriveQuestions) -> Vec<LocalizeRequest> {
-    let asked = (0..recording.count()).step_by(recording.count().div_ceil(TIMED));
-    asked.map(|index| recording.question(index).request.clone()).collect()
+    let indices = (0..recording.count()).step_by(recording.count().div_ceil(TIMED));
+    indices.map(|index| recording.question(index).request.clone()).collect()
 }
 
 /// Number of detections of the median request.

@@ -24,7 +24,7 @@ pub struct Length {
 /// # Errors
 /// When a request is refused.
 pub(super) async fn measure(
-    scene: &InProcessService,
+    parts: &InProcessService,
     town: &BenchTown,
     repetitions: usize,
 ) -> anyhow::Result<Vec<Length>> {
@@ -36,7 +36,7 @@ pub(super) async fn measure(
             batch_s: *batch_s,
             detections: detections(&requests),
             request_kb: bytes as f64 / requests.len().max(1) as f64 / 1e3,
-            inside: scene.profile(&requests, repetitions).await?,
+            inside: parts.profile(&requests, repetitions).await?,
         });
     }
     Ok(lengths)

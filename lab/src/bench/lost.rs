@@ -41,17 +41,18 @@ pub struct Lost {
 /// # Errors
 /// When a request is malformed or the map cannot be read.
 pub(super) fn measure(
-    scene: &InProcessService,
+    parts: &InProcessService,
     town: &BenchTown,
     questions: usize,
     seed: u64,
 ) -> anyhow::Result<Lost> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut aligner = Aligner::default();
-    let mut lost = Lost { off_m: scene.wide_search_m(), asked: questions, ..Lost::default() };
+    let mut lost = Lost { off_m: parts.wide_search_m(), asked: questions, ..Lost::default() };
     let mut fixes = Vec::new();
     for index in 0..questions {
-        let LostQuestion { case, true_pose } = asked(scene, town, index % town.recording.count(), &mut rng)?;
+        let LostQuestion { case, true_pose } =
+            lost_question(parts, town, index % town.recording.count(), &mut rng)?;
         if index == 0 {
             // The first alignment fills the buffers.
             answer(&case, &mut aligner);
@@ -80,8 +81,8 @@ struct LostQuestion {
     true_pose: Pose2,
 }
 
-fn asked(
-    scene: &InProcessService,
+fn lost_question(
+    parts: &InProcessService,
     town: &BenchTown,
     index: usize,
     rng: &mut ChaCha8Rng,
@@ -89,7 +90,7 @@ fn asked(
     let truth = town.recording.true_pose(index);
     let grid = Grid::of(truth.at)?;
     let true_pose = grid.pose_from_geodetic(truth.at, truth.yaw_rad)?;
-    let off_m = scene.wide_search_m();
+    let off_m = parts.wide_search_m();
     let mut off = |most: f64| rng.random_range(-most..most);
     let believed =
         Pose2::new(true_pose.x_m + off(off_m), true_pose.y_m + off(off_m), true_pose.yaw_rad + off(PI));
@@ -102,7 +103,7 @@ fn asked(
         sigma_yaw_rad: PI / sigmas,
         ..v1::Prior::default()
     });
-    Ok(LostQuestion { case: scene.case(&request)?, true_pose })
+    Ok(LostQuestion { case: parts.case(&request)?, true_pose })
 }
 
 /// Milliseconds of a fix with its map window, search, refinement and verdict, and its result.

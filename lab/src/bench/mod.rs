@@ -168,20 +168,20 @@ async fn run(plan: BenchPlan, folder: &Path, say: &impl Fn(&str)) -> anyhow::Res
     say("Load without alignment.");
     let (refused, _) = loaded(&plan, &town, folder, 2, &[NEVER_ENOUGH.to_owned()]).await?;
     say("Steps and engines, in process.");
-    let scene = inside::InProcessService::open(&town, folder)?;
-    let inside = scene.profile(scene.requests(), plan.repetitions).await?;
-    let engines = engines::measure(&scene.cases()?, plan.repetitions)?;
+    let parts = inside::InProcessService::open(&town, folder)?;
+    let inside = parts.profile(parts.requests(), plan.repetitions).await?;
+    let engines = engines::measure(&parts.cases()?, plan.repetitions)?;
     say("Windows and batches of other sizes.");
-    let sizes = sizes::measure(&scene, &plan)?;
-    let lengths = lengths::measure(&scene, &town, plan.repetitions).await?;
+    let sizes = sizes::measure(&parts, &plan)?;
+    let lengths = lengths::measure(&parts, &town, plan.repetitions).await?;
     say("Vehicles that are lost.");
-    let lost = lost::measure(&scene, &town, plan.lost, plan.seed)?;
+    let lost = lost::measure(&parts, &town, plan.lost, plan.seed)?;
     let (error_m, usable_share) = sane(&fixes)?;
     Ok(Figures {
         machine: Machine::here(),
         street_km: town.street_km,
         uploads: town.uploads,
-        detections: inside::detections(scene.requests()),
+        detections: inside::detections(parts.requests()),
         plan,
         cold,
         loads,

@@ -38,12 +38,12 @@ pub struct Size {
 ///
 /// # Errors
 /// When a request is malformed or the map cannot be read.
-pub(super) fn measure(scene: &InProcessService, plan: &BenchPlan) -> anyhow::Result<Vec<Size>> {
+pub(super) fn measure(parts: &InProcessService, plan: &BenchPlan) -> anyhow::Result<Vec<Size>> {
     let mut sizes = Vec::new();
     for &half_width_m in &plan.half_widths_m {
-        let requests = scene.requests().iter().take(plan.sized);
+        let requests = parts.requests().iter().take(plan.sized);
         let cases: Vec<_> =
-            requests.map(|request| scene.case(&widened(request, half_width_m))).collect::<Result<_, _>>()?;
+            requests.map(|request| parts.case(&widened(request, half_width_m))).collect::<Result<_, _>>()?;
         for &cells in &plan.cells {
             sizes.push(size(&cases, half_width_m, cells, plan.seed)?);
         }

@@ -70,11 +70,11 @@ impl BenchTown {
         service.folded().await?;
         uploads.cpu_ms = used_ms().zip(began_ms).map(|(after, before)| after - before);
         service.stop().await?;
-        Self::asked(plan, &city, uploads)
+        Self::localized(plan, &city, uploads)
     }
 
     /// Drives through the town on a later day, with a request each second.
-    fn asked(plan: &BenchPlan, city: &City, uploads: UploadCost) -> anyhow::Result<Self> {
+    fn localized(plan: &BenchPlan, city: &City, uploads: UploadCost) -> anyhow::Result<Self> {
         let seed = plan.seed * 1000 + 999;
         let route = Route::survey(city, seed);
         let mut drive = town::drive(city, DAYS_LATER, &route, "lost".to_owned(), seed)?;

@@ -132,8 +132,8 @@ fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<C
 
 fn experiments(args: &Args) -> Vec<Experiment> {
     let logs = args.drive.is_some();
-    let asked = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
-    asked.iter().copied().filter(|e| !(logs && e.scenes())).collect()
+    let chosen = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
+    chosen.iter().copied().filter(|e| !(logs && e.scenes())).collect()
 }
 
 fn worlds(args: &Args, any: bool) -> Worlds {

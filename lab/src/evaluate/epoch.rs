@@ -94,7 +94,7 @@ pub struct EpochBatch {
 ///
 /// # Errors
 /// When scans and odometry do not fit together.
-pub fn ask(
+pub fn batch_at(
     world: &EvaluationWorld,
     epoch: &Epoch,
     condition: &Condition,
@@ -105,24 +105,26 @@ pub fn ask(
     let start_us = end_us - (condition.batch_s * 1e6) as i64;
     let from = scans.partition_point(|s| s.time_us <= start_us);
     let to = scans.partition_point(|s| s.time_us <= end_us);
-    let way = within(&world.odometry, start_us, end_us)?;
-    let way = match condition.drift {
-        Some(drift) => drift.apply(&way, seed)?,
-        None => way,
+    let trajectory = within(&world.odometry, start_us, end_us)?;
+    let trajectory = match condition.drift {
+        Some(drift) => drift.apply(&trajectory, seed)?,
+        None => trajectory,
     };
     let (seen, mounts) = (&scans[from..to], &world.drive.mounts);
     // A method that knows movers by their radial speeds also corrects the odometry by those of standing objects.
     let corrected = match movers {
         Movers::Included => None,
-        Movers::Excluded => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
+        Movers::Excluded => {
+            dedrifted(seen, mounts, &trajectory, &EgoConfig::default(), &OdometryBias::default())
+        }
     };
-    let way = corrected.map_or(way, |corrected| corrected.trajectory);
+    let trajectory = corrected.map_or(trajectory, |corrected| corrected.trajectory);
     let (Some(truth), Some(end), Some((begin_us, begin))) =
-        (world.truth.at(end_us), way.at(end_us), way.first())
+        (world.truth.at(end_us), trajectory.at(end_us), trajectory.first())
     else {
         return Ok(None);
     };
-    let batch = Batch::organise(seen, mounts, &way, end_us, &movers.gate())?;
+    let batch = Batch::organise(seen, mounts, &trajectory, end_us, &movers.gate())?;
     let drifted = match condition.drift.and_then(|_| world.truth.at(begin_us)) {
         None => truth,
         Some(start) => {

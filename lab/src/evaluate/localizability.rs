@@ -50,9 +50,9 @@ impl Forecaster {
         let map = world.map(base.contributors, Movers::Excluded)?;
         let (search, integrity) = (Search::default(), Integrity::default());
         let position = MapPoint::of(&truth);
-        let frame = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
-        let tiles = self.windows.weights(map, frame);
-        let here = self.assessor.assess(frame, &tiles, position, &search, &integrity);
+        let square = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
+        let tiles = self.windows.weights(map, square);
+        let here = self.assessor.assess(square, &tiles, position, &search, &integrity);
         let noise =
             here.sigma_horizontal_m().powi(2) - 2.0 * integrity.map_variance(base.contributors as f64);
         for row in rows.iter_mut().filter(|row| row.condition == *base) {
@@ -99,9 +99,9 @@ pub fn figures(rows: &[EpochRecord], base: &Condition) -> Value {
 
 /// The service's fixes that have a prediction.
 fn forecast<'a>(rows: &'a [EpochRecord], base: &Condition) -> Vec<&'a EpochRecord> {
-    let asked: Vec<&EpochRecord> =
+    let predicted: Vec<&EpochRecord> =
         rows.iter().filter(|row| row.condition == *base && !row.forecast.is_empty()).collect();
-    of_method(&asked, MethodName::Echofix.word())
+    of_method(&predicted, MethodName::Echofix.word())
 }
 
 /// Rank correlation of expected sigma and realised error, over the usable fixes.

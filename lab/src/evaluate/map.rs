@@ -89,7 +89,7 @@ impl RadarMap {
     pub fn add(&mut self, drive: &Drive, contributor: u64, max_sigma_m: f64) -> anyhow::Result<()> {
         let grid = Grid::new(self.zone)?;
         let scans = gated(drive, self.key.movers);
-        let (mut gathering, mut day) = (EvidenceAccumulator::default(), None);
+        let (mut accumulator, mut day) = (EvidenceAccumulator::default(), None);
         for poses in usable_segments(&drive.reference, &mapped_from(max_sigma_m)) {
             let scale = grid.scale_factor(poses[0].at)?;
             let trajectory = on_grid(&grid, poses)?;
@@ -97,7 +97,7 @@ impl RadarMap {
             let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
             // Movers are dropped already: odometry shows them better than absolute poses would.
             let gate = Movers::Included.gate();
-            gathering.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
+            accumulator.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
             day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
         }
         let day = day.with_context(|| {
@@ -106,7 +106,7 @@ impl RadarMap {
                 drive.vehicle
             )
         })?;
-        for (id, evidence) in gathering.finish(0).tiles {
+        for (id, evidence) in accumulator.finish(0).tiles {
             // The whole drive is folded at once, so that no ledger is needed.
             let pass = Pass { day, contributor };
             self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &evidence);
@@ -115,8 +115,8 @@ impl RadarMap {
     }
 
     /// The evidence in a square.
-    pub fn window(&self, frame: MapSquare) -> EvidenceWindow {
-        EvidenceWindow::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
+    pub fn window(&self, square: MapSquare) -> EvidenceWindow {
+        EvidenceWindow::stitch(square, square.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
     }
 
     /// A tile; `None` where the map has none.

@@ -156,21 +156,22 @@ impl Windows {
         Arc::new(Self { images, tiles, plans: Mutex::default(), search: Search::default() })
     }
 
-    fn frame(&self, map: &RadarMap, prior: &Prior) -> MapSquare {
+    fn square(&self, map: &RadarMap, prior: &Prior) -> MapSquare {
         let search_m = self.search.sigmas * prior.sigma_position_m;
         MapSquare::around(map.zone(), MapPoint::of(&prior.pose), self.search.extent_m, search_m)
     }
 
     /// The paper's occupancy grid around a prior, transformed.
-    fn occupancy(&self, map: &RadarMap, frame: MapSquare) -> Arc<MapImage> {
+    fn occupancy(&self, map: &RadarMap, square: MapSquare) -> Arc<MapImage> {
         let model = InverseSensorModel::default();
-        let prepare = || Arc::new(MapImage::of_evidence(&map.window(frame), &model, self.plans(frame.side)));
-        self.images.get_with((map.key, frame), prepare)
+        let prepare =
+            || Arc::new(MapImage::of_evidence(&map.window(square), &model, self.plans(square.side)));
+        self.images.get_with((map.key, square), prepare)
     }
 
     /// The prepared tiles of a square.
-    pub fn weights(&self, map: &RadarMap, frame: MapSquare) -> Vec<Arc<TileWeights>> {
-        let known = frame.tiles().filter(|id| map.tile(*id).is_some());
+    pub fn weights(&self, map: &RadarMap, square: MapSquare) -> Vec<Arc<TileWeights>> {
+        let known = square.tiles().filter(|id| map.tile(*id).is_some());
         let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
         known.map(|id| self.tiles.get_with((map.key, id), || prepare(id))).collect()
     }
@@ -207,7 +208,7 @@ impl Method for Paper {
 
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let search = self.windows.search;
-        let image = self.windows.occupancy(map, self.windows.frame(map, prior));
+        let image = self.windows.occupancy(map, self.windows.square(map, prior));
         let began = Instant::now();
         let (pose, correlation) = fast_global_align(&image, batch, prior, &search, &mut self.workspace);
         let elapsed = began.elapsed();
@@ -238,8 +239,8 @@ impl Method for Highest {
 
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let search = self.windows.search;
-        let frame = self.windows.frame(map, prior);
-        self.pipeline.assemble(frame, &self.windows.weights(map, frame));
+        let square = self.windows.square(map, prior);
+        self.pipeline.assemble(square, &self.windows.weights(map, square));
         let began = Instant::now();
         // Points are not thinned: the exact engine counts the batch's cells.
         let found = self.pipeline.search(EngineKind::Bounded.engine(), batch, prior, &search);
@@ -280,10 +281,10 @@ impl Method for Echofix {
 
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer {
         let integrity = Integrity::default();
-        let frame = self.windows.frame(map, prior);
-        let tiles = self.windows.weights(map, frame);
+        let square = self.windows.square(map, prior);
+        let tiles = self.windows.weights(map, square);
         let began = Instant::now();
-        let task = Task { square: frame, tiles: &tiles, batch, prior };
+        let task = Task { square, tiles: &tiles, batch, prior };
         let answer = self.aligner.align(&task, self.engine.engine(), &self.search, &integrity);
         let elapsed = began.elapsed();
         let levels = answer.protection(&integrity, RISK);

@@ -117,34 +117,34 @@ pub struct Facts {
 impl EpochRecord {
     /// This row with the answer of a method.
     #[must_use]
-    pub fn answered(mut self, outcome: &MethodAnswer, facts: &Facts) -> Self {
-        let off = facts.truth.between(&outcome.pose);
+    pub fn answered(mut self, answer: &MethodAnswer, facts: &Facts) -> Self {
+        let off = facts.truth.between(&answer.pose);
         (self.along_m, self.cross_m) = (off.x_m / facts.scale, off.y_m / facts.scale);
         self.yaw_deg = off.yaw_rad.to_degrees();
-        let offset = facts.drifted.between(&outcome.pose);
+        let offset = facts.drifted.between(&answer.pose);
         self.offset_m = offset.x_m.hypot(offset.y_m) / facts.scale;
         self.offset_deg = offset.yaw_rad.to_degrees().abs();
-        if let Some(off) = facts.reference.map(|reference| reference.between(&outcome.pose)) {
+        if let Some(off) = facts.reference.map(|reference| reference.between(&answer.pose)) {
             self.reference_m = Some(off.x_m.hypot(off.y_m) / facts.scale);
             self.reference_deg = Some(off.yaw_rad.to_degrees().abs());
         }
         self.floor_m = facts.floor.map(|f| f.x_m.hypot(f.y_m) / facts.scale);
         self.floor_deg = facts.floor.map(|f| f.yaw_rad.to_degrees().abs());
         self.net_m = facts.floor.map(|f| {
-            let (east, north) = (outcome.pose.x_m - facts.truth.x_m, outcome.pose.y_m - facts.truth.y_m);
+            let (east, north) = (answer.pose.x_m - facts.truth.x_m, answer.pose.y_m - facts.truth.y_m);
             (east - f.x_m).hypot(north - f.y_m) / facts.scale
         });
-        if let Some(covariance) = outcome.covariance {
-            (self.nees_2, self.nees_3) = nees(&facts.truth, &outcome.pose, covariance);
+        if let Some(covariance) = answer.covariance {
+            (self.nees_2, self.nees_3) = nees(&facts.truth, &answer.pose, covariance);
         }
-        if let Some(levels) = outcome.protection {
+        if let Some(levels) = answer.protection {
             self.protection_along_m = Some(levels.along_m);
             self.protection_cross_m = Some(levels.cross_m);
             self.protection_yaw_deg = Some(levels.yaw_rad.to_degrees());
         }
-        (self.verdict, self.usable) = (outcome.verdict, outcome.usable);
-        (self.second, self.margin) = (outcome.second, outcome.margin);
-        self.ms = outcome.elapsed.as_secs_f64() * 1e3;
+        (self.verdict, self.usable) = (answer.verdict, answer.usable);
+        (self.second, self.margin) = (answer.second, answer.margin);
+        self.ms = answer.elapsed.as_secs_f64() * 1e3;
         self
     }
 
@@ -206,7 +206,7 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
     use std::time::Duration;
 
-    fn outcome(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> MethodAnswer {
+    fn answer(pose: Pose2, covariance: Option<[[f64; 3]; 3]>) -> MethodAnswer {
         let elapsed = Duration::from_millis(7);
         let (protection, second, margin) = (None, 0.5, Some(20.0));
         MethodAnswer {
@@ -227,8 +227,8 @@ mod tests {
         let reference = Some(Pose2::new(100.3, 50.2, FRAC_PI_2));
         let drifted = Pose2::new(100.0, 49.0, FRAC_PI_2);
         let facts = Facts { truth, reference, drifted, scale: 0.5, floor: None };
-        let row = EpochRecord::default()
-            .answered(&outcome(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
+        let row =
+            EpochRecord::default().answered(&answer(Pose2::new(100.1, 50.2, FRAC_PI_2 + 0.01), None), &facts);
         assert!((row.along_m - 0.4).abs() < 1e-9 && (row.cross_m + 0.2).abs() < 1e-9);
         assert!((row.yaw_deg - 0.01_f64.to_degrees()).abs() < 1e-9);
         assert!((row.reference_m.unwrap() - 0.4).abs() < 1e-9);

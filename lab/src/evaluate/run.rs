@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::condition::Condition;
-use super::epoch::{Epoch, EpochBatch, ask, epochs, prior};
+use super::epoch::{Epoch, EpochBatch, batch_at, epochs, prior};
 use super::localizability::Forecaster;
 use super::map::Movers;
 use super::method::{Method, MethodName, Windows};
@@ -107,8 +107,8 @@ fn at_epoch(
         }
         let mut batches = BTreeMap::new();
         for movers in [Movers::Included, Movers::Excluded] {
-            if let Some(asked) = ask(world, epoch, condition, movers, seed)? {
-                batches.insert(movers, asked);
+            if let Some(batch) = batch_at(world, epoch, condition, movers, seed)? {
+                batches.insert(movers, batch);
             }
         }
         for number in 0..plan.priors {
@@ -116,8 +116,8 @@ fn at_epoch(
                 if !plan.asks(*name, condition, epoch) {
                     continue;
                 }
-                if let Some(asked) = batches.get(&method.movers()) {
-                    rows.push(fix(world, epoch, condition, asked, (number, seed), &mut **method)?);
+                if let Some(batch) = batches.get(&method.movers()) {
+                    rows.push(fix(world, epoch, condition, batch, (number, seed), &mut **method)?);
                 }
             }
         }
@@ -130,15 +130,15 @@ fn fix(
     world: &EvaluationWorld,
     epoch: &Epoch,
     condition: &Condition,
-    asked: &EpochBatch,
+    epoch_batch: &EpochBatch,
     (number, seed): (usize, u64),
     method: &mut dyn Method,
 ) -> anyhow::Result<EpochRecord> {
-    let EpochBatch { batch, cells, drifted } = asked;
+    let EpochBatch { batch, cells, drifted } = epoch_batch;
     let Some(truth) = world.truth.at(epoch.time_us) else { anyhow::bail!("the truth ends within the drive") };
     // The priors of all conditions and methods have the same errors, around the pose that the batch leads to.
     let prior = prior(drifted, world.scale, seed.wrapping_add(number as u64));
-    let outcome = method.fix(world.map(condition.contributors, method.movers())?, batch, &prior);
+    let answer = method.fix(world.map(condition.contributors, method.movers())?, batch, &prior);
     let floor = world.floor.around(&truth, condition.contributors);
     let reference = world.reference.at(epoch.time_us);
     let facts = Facts { truth, reference, drifted: *drifted, scale: world.scale, floor };
@@ -162,7 +162,7 @@ fn fix(
         cells: *cells,
         ..EpochRecord::default()
     };
-    Ok(row.answered(&outcome, &facts))
+    Ok(row.answered(&answer, &facts))
 }
 
 /// A different seed for every epoch of every world.

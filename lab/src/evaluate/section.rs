@@ -54,6 +54,6 @@ impl Section {
 /// The fixes under a condition in towns or logs, without those in scenes.
 pub fn under<'a>(rows: &[&'a EpochRecord], condition: &Condition, swept: bool) -> Vec<&'a EpochRecord> {
     let in_town = |r: &&&EpochRecord| !is_scene(r.site_kind);
-    let asked = |r: &&&EpochRecord| r.condition == *condition && (!swept || r.swept);
-    rows.iter().filter(in_town).filter(asked).copied().collect()
+    let matching = |r: &&&EpochRecord| r.condition == *condition && (!swept || r.swept);
+    rows.iter().filter(in_town).filter(matching).copied().collect()
 }

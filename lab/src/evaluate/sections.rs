@@ -27,17 +27,17 @@ pub fn section(
         let words: Vec<_> = names.iter().map(|name| name.word()).collect();
         all.iter().copied().filter(|row| words.contains(&row.method)).collect()
     };
-    let asked = named(&plan.methods);
+    let compared = named(&plan.methods);
     match experiment {
-        Experiment::Headline => headline(&asked, base),
-        Experiment::Ambiguity => ambiguity(&asked, base),
+        Experiment::Headline => headline(&compared, base),
+        Experiment::Ambiguity => ambiguity(&compared, base),
         Experiment::Localizability => {
             let text = localizability::section(rows, &base);
             Section { experiment, text, figures: Vec::new(), data: None }
         }
         Experiment::Ablation => ablation::section(&named(experiment.variants()), base),
         Experiment::Misses => misses::section(&all, base),
-        _ => swept(experiment, &asked, &experiment.conditions(base, crowds)),
+        _ => swept(experiment, &compared, &experiment.conditions(base, crowds)),
     }
 }
 
@@ -156,9 +156,9 @@ fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
         .enumerate()
         .filter_map(|(k, (name, rows))| detector(k, &name, &rows))
         .collect();
-    let asked = Integrity::default().min_margin;
+    let needed = Integrity::default().min_margin;
     let words = format!(
-        "## Ambiguity\n\nScenes with many positions that look alike: parked cars at equal distances and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well can a method detect answers that are wrong by more than a metre? `paper` does so by the score of the best alternative relative to the answer's. `echofix` does so by the margin, the log-likelihood by which the answer exceeds the best alternative; a usable answer needs {asked} nats.\n"
+        "## Ambiguity\n\nScenes with many positions that look alike: parked cars at equal distances and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well can a method detect answers that are wrong by more than a metre? `paper` does so by the score of the best alternative relative to the answer's. `echofix` does so by the margin, the log-likelihood by which the answer exceeds the best alternative; a usable answer needs {needed} nats.\n"
     );
     let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {

@@ -59,7 +59,7 @@ impl Attack {
         contributor: u64,
         honest: &[VehicleUpload],
     ) -> anyhow::Result<Vec<VehicleUpload>> {
-        let (zone, sending) = (city.site().zone(), SentForm::of(contributor));
+        let (zone, form) = (city.site().zone(), SentForm::of(contributor));
         match self {
             Self::None => Ok(honest.to_vec()),
             Self::Wall => {
@@ -71,21 +71,21 @@ impl Attack {
             }
             Self::Erase => {
                 let mut uploads = honest.to_vec();
-                for evidence in uploads.iter_mut().flat_map(|upload| upload.contribution.tiles.values_mut()) {
+                for evidence in uploads.iter_mut().flat_map(|upload| upload.delta.tiles.values_mut()) {
                     evidence.cells.truncate(1);
                 }
                 Ok(uploads)
             }
             Self::Shift(m) => {
                 let east = |_, _, pose: Pose2| Pose2 { x_m: pose.x_m + m, ..pose };
-                cut_wrong(drive, zone, sending, east)
+                cut_wrong(drive, zone, form, east)
             }
             Self::Mount(rad) => {
                 let mut drive = drive.clone();
                 if let Some(Mount { yaw_rad, .. }) = drive.mounts.first_mut() {
                     *yaw_rad += rad;
                 }
-                cut(&drive, zone, sending)
+                cut(&drive, zone, form)
             }
             Self::Replay => Ok(honest.iter().flat_map(|upload| vec![upload.clone(); 1 + REPLAYS]).collect()),
         }
@@ -114,7 +114,7 @@ pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
 /// Adds hits to an upload, in the tiles that it has evidence for.
 fn add(upload: &mut VehicleUpload, hits: &BTreeMap<TileId, Vec<CellHits>>) {
     for (id, more) in hits {
-        let Some(evidence) = upload.contribution.tiles.get_mut(id) else { continue };
+        let Some(evidence) = upload.delta.tiles.get_mut(id) else { continue };
         for hit in more {
             match evidence.cells.binary_search_by_key(&hit.index, |cell| cell.index) {
                 Ok(at) => evidence.cells[at] = *hit,
@@ -138,14 +138,14 @@ mod tests {
         assert!((140..=200).contains(&count), "{count}");
         let drive = town::drive(&city, 0, town::Way::Errand, 1).unwrap();
         let total = |uploads: &[VehicleUpload]| -> usize {
-            let evidence = uploads.iter().flat_map(|u| u.contribution.tiles.values());
+            let evidence = uploads.iter().flat_map(|u| u.delta.tiles.values());
             evidence.map(|evidence| evidence.cells.len()).sum()
         };
         let honest = cut(&drive, city.site().zone(), SentForm::of(1)).unwrap();
         let does = |attack: Attack| attack.uploads(&city, &drive, 1, &honest).unwrap();
         let bad = does(Attack::Wall);
         let ordered = |u: &VehicleUpload| {
-            u.contribution.tiles.values().all(|s| s.cells.windows(2).all(|w| w[0].index < w[1].index))
+            u.delta.tiles.values().all(|s| s.cells.windows(2).all(|w| w[0].index < w[1].index))
         };
         assert!(bad.iter().all(ordered) && total(&bad) > total(&honest));
         assert!(total(&does(Attack::Erase)) < 20 * bad.len());

@@ -58,7 +58,7 @@ impl CrowdMap {
     /// Vets an upload, without folding it.
     pub fn vet(&mut self, upload: &VehicleUpload) -> Vetted {
         let cells: Vec<_> =
-            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
+            upload.delta.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
         let others = OthersEvidence { folded: &self.folded, contributor: upload.pass.contributor };
         self.vetter.vet(&cells, &others, &self.limits)
     }
@@ -88,8 +88,7 @@ impl CrowdMap {
 impl FoldedMap {
     fn fold(&mut self, upload: &VehicleUpload, offsets: &Offsets) -> Vec<(TileId, TileEvidence)> {
         let mut folded = Vec::new();
-        let evidence: Vec<_> =
-            upload.contribution.tiles.iter().map(|(id, evidence)| (*id, evidence)).collect();
+        let evidence: Vec<_> = upload.delta.tiles.iter().map(|(id, evidence)| (*id, evidence)).collect();
         for (id, evidence, offset) in moved_evidence(&evidence, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
             self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &evidence, offset);

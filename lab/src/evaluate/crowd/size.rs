@@ -66,17 +66,17 @@ impl Form {
     }
 
     /// Size of an upload, bytes.
-    fn bytes(self, contribution: &EvidenceDelta) -> u64 {
+    fn bytes(self, delta: &EvidenceDelta) -> u64 {
         let halved = |evidence: &TileEvidence| {
             let cells = widened(&evidence.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
             TileEvidence { cells, observed: evidence.observed }
         };
         match self {
-            Self::Scans => DETECTION_BYTES * contribution.detections,
-            Self::Steps(_) => codec::encode(contribution).len() as u64,
+            Self::Scans => DETECTION_BYTES * delta.detections,
+            Self::Steps(_) => codec::encode(delta).len() as u64,
             Self::Wide => {
-                let tiles = contribution.tiles.iter().map(|(id, evidence)| (*id, halved(evidence))).collect();
-                codec::encode(&EvidenceDelta { tiles, detections: contribution.detections }).len() as u64
+                let tiles = delta.tiles.iter().map(|(id, evidence)| (*id, halved(evidence))).collect();
+                codec::encode(&EvidenceDelta { tiles, detections: delta.detections }).len() as u64
             }
         }
     }
@@ -85,7 +85,7 @@ impl Form {
     fn read(self, upload: &VehicleUpload) -> VehicleUpload {
         let mut upload = upload.clone();
         if self == Self::Wide {
-            for evidence in upload.contribution.tiles.values_mut() {
+            for evidence in upload.delta.tiles.values_mut() {
                 // The middle of four cells is a corner of the last of them.
                 let mut cells = widened(&evidence.cells, |x, y| (y | 1) * SIDE + (x | 1));
                 for cell in &mut cells {
@@ -128,7 +128,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
             .map(|(drive, who)| cut(drive, zone, SentForm { steps: form.steps(), ..SentForm::of(who) }));
         let uploads = uploads.collect::<anyhow::Result<Vec<_>>>()?.concat();
         let fixes = fixes(&served(*form, &uploads, zone), &localized, MethodName::Echofix, most)?;
-        Ok(Worth { bytes: uploads.iter().map(|upload| form.bytes(&upload.contribution)).sum(), fixes })
+        Ok(Worth { bytes: uploads.iter().map(|upload| form.bytes(&upload.delta)).sum(), fixes })
     };
     let worths = FORMS.par_iter().map(worth).collect::<anyhow::Result<_>>()?;
     Ok((worths, mapping.iter().map(|drive| drive.odometry.travelled_m()).sum::<f64>() / 1e3))

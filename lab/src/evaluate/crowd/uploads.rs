@@ -18,7 +18,7 @@ pub struct VehicleUpload {
     /// Its contributor and its day.
     pub pass: Pass,
     /// Its evidence delta.
-    pub contribution: EvidenceDelta,
+    pub delta: EvidenceDelta,
 }
 
 /// How a vehicle makes uploads of its drives.
@@ -43,8 +43,8 @@ impl SentForm {
 ///
 /// # Errors
 /// When its scans and poses do not fit together.
-pub fn cut(drive: &Drive, zone: Zone, sending: SentForm) -> anyhow::Result<Vec<VehicleUpload>> {
-    cut_wrong(drive, zone, sending, |_, _, pose| pose)
+pub fn cut(drive: &Drive, zone: Zone, form: SentForm) -> anyhow::Result<Vec<VehicleUpload>> {
+    cut_wrong(drive, zone, form, |_, _, pose| pose)
 }
 
 /// The uploads of a drive from wrong poses. `wrong` makes a pose wrong, from the upload's number, the pose in its middle and the
@@ -55,19 +55,19 @@ pub fn cut(drive: &Drive, zone: Zone, sending: SentForm) -> anyhow::Result<Vec<V
 pub fn cut_wrong(
     drive: &Drive,
     zone: Zone,
-    sending: SentForm,
+    form: SentForm,
     wrong: impl Fn(usize, Pose2, Pose2) -> Pose2,
 ) -> anyhow::Result<Vec<VehicleUpload>> {
     let grid = Grid::new(zone)?;
     let scans = gated(drive, Movers::Excluded);
     let mut uploads = Vec::new();
-    for poses in usable_segments(&drive.reference, &mapped_from(sending.max_sigma_m)) {
+    for poses in usable_segments(&drive.reference, &mapped_from(form.max_sigma_m)) {
         for part in parts(&grid, poses, &RecorderConfig::default())? {
             let poses: Vec<_> = on_grid(&grid, part)?.iter().collect();
             let (number, middle) = (uploads.len(), poses[poses.len() / 2].1);
             let poses = poses.into_iter().map(|(time_us, pose)| (time_us, wrong(number, middle, pose)));
             let trajectory = Trajectory::new(poses)?;
-            uploads.extend(upload(&grid, drive, &scans, (part, &trajectory), sending)?);
+            uploads.extend(upload(&grid, drive, &scans, (part, &trajectory), form)?);
         }
     }
     Ok(uploads)
@@ -108,13 +108,12 @@ fn upload(
     let scale = grid.scale_factor(poses[0].at)?;
     // Movers are dropped already: odometry shows them better than absolute poses would.
     let gate = Movers::Included.gate();
-    let mut gathering = EvidenceAccumulator::with_steps(steps);
+    let mut accumulator = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
-        gathering.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
-    let contribution = gathering.finish(placed);
+        accumulator.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
+    let delta = accumulator.finish(placed);
     let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US))?;
-    Ok((contribution.detections > 0)
-        .then_some(VehicleUpload { pass: Pass { day, contributor }, contribution }))
+    Ok((delta.detections > 0).then_some(VehicleUpload { pass: Pass { day, contributor }, delta }))
 }
 
 #[cfg(test)]
