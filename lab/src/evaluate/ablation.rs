@@ -14,7 +14,7 @@ candidate with unrounded, thinned points. The last estimates the drift with the 
 `echofix` without radial speeds, and with an exact search. All lines have the same epochs and priors.
 ";
 
-/// The section.
+/// The section of the report.
 pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let experiment = Experiment::Ablation;
     let conditions = experiment.conditions(base, &[]);

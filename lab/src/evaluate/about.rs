@@ -1,4 +1,4 @@
-//! What a report must say of itself: machine, command, data.
+//! How the figures of a report were made: by which machine and command, from which data.
 
 use super::record::EpochRecord;
 use super::run::EvaluationPlan;
@@ -6,7 +6,7 @@ use super::section::Section;
 use super::worlds::Worlds;
 use crate::machine::Machine;
 
-/// How the figures came about.
+/// How the figures of a run were made.
 pub struct About {
     machine: String,
     command: String,
@@ -17,7 +17,7 @@ pub struct About {
 }
 
 impl About {
-    /// Of this run.
+    /// The description of this run.
     pub fn of(worlds: &Worlds, plan: &EvaluationPlan, rows: &[EpochRecord]) -> Self {
         Self {
             machine: Machine::here().to_string(),
@@ -30,7 +30,7 @@ impl About {
     }
 }
 
-/// The command line, without the folders that its files are in.
+/// The command line, with file names without their folders.
 fn command(args: impl Iterator<Item = String>) -> String {
     let base = |word: String| word.rsplit('/').next().unwrap_or_default().to_owned();
     let rest = args.skip(1).map(base).collect::<Vec<_>>().join(" ");
@@ -53,12 +53,12 @@ confidence intervals, by a bootstrap over blocks of two minutes, because epochs 
 independent. `Map's own error` is the mean error of the poses that the map was made from. No method that aligns
 with the map can detect it.";
 
-/// What all experiments share: their data and methods.
+/// The data and methods that all experiments have in common.
 pub fn shared(about: &About) -> String {
     if about.simulated { format!("{SIMULATED}\n\n{METHOD}") } else { METHOD.to_owned() }
 }
 
-/// The whole report: what all experiments share, then each between markers of its own.
+/// The whole report: first what all experiments have in common, then each experiment between its own markers.
 pub fn page(about: &About, sections: &[Section]) -> String {
     let shared = shared(about);
     let marked = |section: &Section| {
@@ -70,7 +70,7 @@ pub fn page(about: &About, sections: &[Section]) -> String {
     head.into_iter().chain(sections.iter().map(marked)).collect::<Vec<_>>().join("\n")
 }
 
-/// One experiment's part of the report and the name of its markers.
+/// The name of an experiment's markers, and the text between them.
 pub fn part(about: &About, section: &Section) -> (String, String) {
     let About { machine, command, worlds, fixes, seed, .. } = about;
     let text = section.text.trim_end();

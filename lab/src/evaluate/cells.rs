@@ -7,44 +7,44 @@ use super::statistics::bootstrap::{Estimate, fraction, percentiles};
 
 /// Fractions of the epochs that a percentile is given for.
 const FRACTIONS: [f64; 3] = [0.5, 0.95, 0.99];
-/// Batches this far apart share no scan, microseconds.
+/// Batches that are this far apart have no scan in common, microseconds.
 const APART_US: i64 = 5_000_000;
 
-/// A quantity of a row.
+/// A quantity of a fix; `None` where it is not known.
 pub type Quantity = fn(&EpochRecord) -> Option<f64>;
 
 /// Horizontal error, metres.
 pub const HORIZONTAL: Quantity = |row| Some(row.error_m());
 /// Error along the heading, metres.
 pub const ALONG: Quantity = |row| Some(row.along_m.abs());
-/// Error across it, metres.
+/// Error across the heading, metres.
 pub const CROSS: Quantity = |row| Some(row.cross_m.abs());
 /// Error of the heading, degrees.
 pub const HEADING: Quantity = |row| Some(row.yaw_deg.abs());
 /// Horizontal error against the vehicle's own positioning, metres.
 pub const REFERENCE: Quantity = |row| row.reference_m;
-/// Error of the heading against it, degrees.
+/// Error of the heading against the vehicle's own positioning, degrees.
 pub const REFERENCE_HEADING: Quantity = |row| row.reference_deg;
 /// The map's own error, metres.
 pub const FLOOR: Quantity = |row| row.floor_m;
-/// Horizontal error without the map's, metres.
+/// Horizontal error without the map's own error, metres.
 pub const NET: Quantity = |row| row.net_m;
 /// Error of the drifted trajectory's offset, metres.
 pub const OFFSET: Quantity = |row| Some(row.offset_m);
-/// Of its heading, degrees.
+/// Error of that offset's heading, degrees.
 pub const OFFSET_HEADING: Quantity = |row| Some(row.offset_deg);
 
-/// What is independent: (world, block of time).
+/// The cluster of a fix, its world and its block of time. Fixes of different clusters count as independent.
 pub fn cluster(row: &EpochRecord) -> (&str, usize) {
     (&row.world, row.block)
 }
 
-/// Median, 95 % and 99 %; empty of nothing.
+/// Median, 95 % and 99 % percentiles; empty without rows.
 pub fn figures(rows: &[&EpochRecord], quantity: Quantity) -> Vec<Estimate> {
     percentiles(rows.iter().filter_map(|row| Some((quantity(row)?, cluster(row)))), &FRACTIONS)
 }
 
-/// How one figure compares with another, with its interval.
+/// The ratio of two figures, with its interval.
 pub fn ratio(estimate: &Estimate) -> String {
     format!("{:.3}{}", estimate.value, bounds(estimate, 1.0, 3))
 }
@@ -61,7 +61,7 @@ pub fn cell(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usize
     }
 }
 
-/// The same without the interval.
+/// `50 / 95 / 99` percentiles without the interval.
 pub fn short(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usize) -> String {
     match figures(rows, quantity).as_slice() {
         [p50, p95, p99] => {
@@ -72,7 +72,7 @@ pub fn short(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usiz
     }
 }
 
-/// An interval in brackets after a blank; nothing where it is not known.
+/// An interval in brackets, after a blank; empty where it is not known.
 pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
     let [low, high] = [estimate.low, estimate.high].map(|v| scale * v);
     if low.is_nan() { String::new() } else { format!(" ({low:.digits$} - {high:.digits$})") }
@@ -80,7 +80,7 @@ pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
 
 /// The fraction of the rows that are hits, in percent with its interval.
 ///
-/// Where no row is one, the upper bound is the rule of three over the batches that share no scan.
+/// If no row is a hit, the upper bound is the rule of three over the batches that have no scan in common.
 pub fn percent(rows: &[&EpochRecord], hit: impl Fn(&EpochRecord) -> bool) -> String {
     let Some(mut found) = fraction(rows.iter().map(|row| (hit(row), cluster(row)))) else {
         return "-".to_owned();
@@ -121,7 +121,7 @@ mod tests {
     fn what_never_happened_may_still_happen() {
         let rows = rows();
         let rows: Vec<_> = rows.iter().collect();
-        // 100 s hold 21 batches that share no scan (the first and the last one are cut).
+        // 100 s contain 21 batches that have no scan in common (the first and the last one are cut).
         assert_eq!(percent(&rows, |_| false), "0.0 % (0.0 - 14.3)");
         assert!(percent(&rows, |row| row.along_m > 0.5).starts_with("50.0 % ("));
         assert_eq!(percent(&[], |_| true), "-");

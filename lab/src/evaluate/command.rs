@@ -58,7 +58,7 @@ pub struct Args {
     /// Organise the batches of the log by its known poses, as the paper did, and not by its odometry.
     #[arg(long, requires = "drive")]
     known_odometry: bool,
-    /// Reference poses of a log with a larger sigma are not mapped from, metres.
+    /// Largest standard deviation of a reference pose, metres. Less certain poses add nothing to the map.
     #[arg(long, default_value_t = 0.3)]
     max_sigma_m: f64,
     /// Memory for prepared map windows, mebibytes.
@@ -67,9 +67,9 @@ pub struct Args {
     /// Write every fix to this CSV file.
     #[arg(long)]
     epochs: Option<PathBuf>,
-    /// Write figures and tables into docs/benchmarks/ of this folder, the repository's; what the pages say of other
-    /// experiments stays.
-    #[arg(long)]
+    /// Also write tables and figures to docs/benchmarks in the repository at this path. Sections of other experiments stay
+    /// as they are.
+    #[arg(long, value_name = "FOLDER")]
     write: Option<PathBuf>,
 }
 
@@ -184,7 +184,7 @@ fn write_rows(path: &Path, rows: &[EpochRecord]) -> anyhow::Result<()> {
     Ok(writer.flush()?)
 }
 
-/// Each section onto its page; what the pages say of other experiments stays.
+/// Writes each section into its page. Sections of other experiments stay as they are.
 fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::Result<()> {
     let pages = report::pages(folder)?;
     let figures = pages.join("figures");

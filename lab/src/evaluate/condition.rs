@@ -1,4 +1,4 @@
-//! Under which conditions a fix is asked for.
+//! The conditions under which fixes are made, and the experiments that compare them.
 
 use echofix_sim::{Drift, Growth};
 
@@ -7,49 +7,49 @@ use super::method::MethodName;
 /// The paper's batch length, seconds.
 pub const BATCH_S: f64 = 5.0;
 
-/// Under which conditions a fix is asked for.
+/// The conditions under which a fix is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Condition {
-    /// Seconds of scans in the batch.
+    /// Length of the batch, seconds.
     pub batch_s: f64,
-    /// Error of the trajectory that organises the batch.
+    /// Drift of the trajectory that organises the batch; `None` without.
     pub drift: Option<Drift>,
-    /// Contributors that made the map.
+    /// Number of contributors to the map.
     pub contributors: usize,
 }
 
 impl Default for Condition {
-    /// The paper's: 5 s, no drift, a map of one drive.
+    /// The paper's conditions: batches of 5 s, no drift, a map of one drive.
     fn default() -> Self {
         Self { batch_s: BATCH_S, drift: None, contributors: 1 }
     }
 }
 
 impl Condition {
-    /// The same under the paper's drifts, smallest first; of each level linear, then quadratic.
+    /// The same conditions with each of the paper's drifts, smallest first; of each level linear, then quadratic.
     fn drifts(self) -> Vec<Self> {
         let levels = Drift::PAPER_LEVELS.into_iter();
         let grown = |level| [Growth::Linear, Growth::Quadratic].map(|growth| Drift::over_5_s(level, growth));
         levels.flat_map(grown).map(|drift| Self { drift: Some(drift), ..self }).collect()
     }
 
-    /// Under the paper's largest drift, the quadratic one.
+    /// The same conditions with the paper's largest drift, the quadratic one.
     fn drifted_most(self) -> Self {
         let [.., largest] = Drift::PAPER_LEVELS;
         Self { drift: Some(Drift::over_5_s(largest, Growth::Quadratic)), ..self }
     }
 
-    /// The same with the paper's batch lengths.
+    /// The same conditions with each of the paper's batch lengths.
     fn batches(self) -> Vec<Self> {
         [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].map(|batch_s| Self { batch_s, ..self }).to_vec()
     }
 
-    /// The same on maps of so many contributors.
+    /// The same conditions on maps of so many contributors.
     fn crowds(self, contributors: &[usize]) -> Vec<Self> {
         contributors.iter().map(|contributors| Self { contributors: *contributors, ..self }).collect()
     }
 
-    /// What is varied in an experiment, in a few words.
+    /// The value of what an experiment varies, in a few words.
     pub fn name(&self, experiment: Experiment) -> String {
         match (experiment, self.drift) {
             (Experiment::Batch, _) => format!("{:.0} s", self.batch_s),
@@ -64,7 +64,7 @@ impl Condition {
         }
     }
 
-    /// How the drift grows, in a word; empty without.
+    /// How the drift grows, in a word; empty without drift.
     pub fn growth(&self) -> &'static str {
         match self.drift.map(|drift| drift.growth) {
             None => "",
@@ -74,39 +74,39 @@ impl Condition {
     }
 }
 
-/// Which part of the evaluation.
+/// A part of the evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub enum Experiment {
-    /// 5 s batches, a map of one contributor.
+    /// Fixes from 5 s batches on a map of one contributor.
     Headline,
     /// Batches of 1 to 8 s.
     Batch,
-    /// Drift of the odometry.
+    /// Odometry with drift.
     Drift,
     /// Maps of 1 to 20 contributors.
     Crowd,
-    /// Streets made to be mistaken.
+    /// Scenes with many positions that look alike.
     Ambiguity,
-    /// What the map alone expects of fixes.
+    /// What the map alone expects of fixes, beside the fixes.
     Localizability,
-    /// What each step is worth.
+    /// The steps from the paper's method to the service's, one at a time.
     Ablation,
     /// How often the fast search misses the exact maximum.
     Misses,
     /// How maps age over a year.
     Year,
-    /// What bad contributors reach.
+    /// What bad contributors can do to the map.
     Attacks,
-    /// Which uploads are kept out of the map.
+    /// Which uploads vetting keeps out of the map.
     Vetting,
-    /// Bytes of an upload against accuracy.
+    /// The size of uploads against the accuracy of the map.
     Upload,
-    /// What several must have seen for it to be served.
+    /// How many contributors must have hit something near a cell for it to be served.
     Support,
 }
 
 impl Experiment {
-    /// Those of the paper, in the order of the report.
+    /// The experiments that run when none is named, in the order of the report. Their fixes are of one run.
     pub const ALL: [Self; 8] = [
         Self::Headline,
         Self::Batch,
@@ -118,11 +118,11 @@ impl Experiment {
         Self::Misses,
     ];
 
-    /// Those with towns and maps of their own, made only when they are asked for.
+    /// Experiments with their own towns and maps. They run only when they are named.
     pub const OF_THE_CROWD: [Self; 5] =
         [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support];
 
-    /// Its name in a word.
+    /// Its name on the command line.
     pub fn word(self) -> &'static str {
         match self {
             Self::Headline => "headline",
@@ -141,7 +141,7 @@ impl Experiment {
         }
     }
 
-    /// The page of `docs/benchmarks` that its section stands on.
+    /// The page in `docs/benchmarks` that contains its section.
     pub fn page(self) -> &'static str {
         match self {
             Self::Localizability => "localizability.md",
@@ -153,7 +153,7 @@ impl Experiment {
         }
     }
 
-    /// Methods it compares besides those asked for.
+    /// The methods it compares besides those of `--methods`.
     pub fn variants(self) -> &'static [MethodName] {
         match self {
             Self::Ablation => &MethodName::LADDER,
@@ -162,12 +162,12 @@ impl Experiment {
         }
     }
 
-    /// Does it need the streets that are made to be mistaken?
+    /// Whether it needs the scenes with many positions that look alike.
     pub fn scenes(self) -> bool {
         matches!(self, Self::Ambiguity | Self::Localizability | Self::Misses)
     }
 
-    /// The conditions it compares: variations of one.
+    /// The conditions it compares, which are variations of `base`.
     pub fn conditions(self, base: Condition, crowds: &[usize]) -> Vec<Condition> {
         match self {
             Self::Headline | Self::Ambiguity | Self::Localizability | Self::Misses => vec![base],

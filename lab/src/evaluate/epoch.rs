@@ -1,4 +1,4 @@
-//! When fixes are asked for, and with what.
+//! The epochs at which fixes are made, and their batches and priors.
 
 use std::collections::BTreeSet;
 
@@ -18,34 +18,34 @@ use super::map::Movers;
 use super::method::Prior;
 use super::world::EvaluationWorld;
 
-/// The longest batch; every epoch has that much behind it, so that all lengths see the same epochs.
+/// Length of the longest batch, microseconds. Every epoch comes that long after the first scan, so that all batch lengths have
+/// the same epochs.
 const WARM_UP_US: i64 = 8_000_000;
-/// Right after a rest a batch is nearly empty, and the service would refuse it: so long must have been
-/// driven, microseconds.
+/// Least time of driving before an epoch, microseconds. Right after a rest a batch is nearly empty, and the service would refuse
+/// it.
 const DRIVEN_US: i64 = 1_000_000;
-/// Epochs this far apart count as independent: structure and the errors of the map's poses have
-/// changed, microseconds.
+/// Length of a block, microseconds. Epochs that far apart count as independent: the structure around them and the errors of the
+/// map's poses have changed.
 const BLOCK_US: i64 = 120_000_000;
 
 /// The paper's priors. The heading's sigma is by one bit larger than that of [`PriorSigma::PAPER`]: the published figures
 /// were made with this one.
 pub const PRIOR_SIGMA: PriorSigma = PriorSigma { yaw_rad: 3_f64.to_radians(), ..PriorSigma::PAPER };
 
-/// A time at which fixes are asked for.
+/// A time at which every method localizes the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Epoch {
-    /// Number within the world.
+    /// Its number within the world, from 0.
     pub number: usize,
-    /// Epochs of one block are not independent.
+    /// Number of its block. Epochs of one block are not independent.
     pub block: usize,
     /// Time of the newest scan.
     pub time_us: i64,
-    /// Is it one of those at which all conditions are asked?
+    /// Whether all conditions are evaluated here, and not only those of the headline.
     pub swept: bool,
 }
 
-/// Epochs about `every_s` apart while driving, thinned evenly to `most`, of which `swept` see all
-/// conditions.
+/// Epochs about `every_s` apart while driving, evenly thinned to `most`. All conditions are evaluated at `swept` of them.
 pub fn epochs(world: &EvaluationWorld, every_s: f64, most: usize, swept: usize) -> Vec<Epoch> {
     let least_mps = Movers::Included.gate().min_speed_mps;
     let Some(first) = world.drive.scans.first() else { return Vec::new() };
@@ -75,22 +75,22 @@ pub fn epochs(world: &EvaluationWorld, every_s: f64, most: usize, swept: usize) 
     chosen.iter().enumerate().map(epoch).collect()
 }
 
-/// `most` of `count` indices, evenly spread; all of them when there are no more.
+/// `most` of `count` indices, evenly spread; all of them if there are no more.
 fn thinned(count: usize, most: usize) -> Vec<usize> {
     if count <= most { (0..count).collect() } else { (0..most).map(|k| k * count / most).collect() }
 }
 
-/// A batch and where the vehicle would be, were its drift not an error.
+/// The batch of an epoch, and the pose that its drifted trajectory leads to.
 pub struct EpochBatch {
     /// The batch.
     pub batch: Batch,
-    /// Cells it occupies.
+    /// Number of cells that the batch occupies.
     pub cells: usize,
-    /// True pose at its oldest scan, carried on by the drifted trajectory: map metres, radians.
+    /// The true pose at the oldest scan, propagated by the drifted trajectory: map metres, radians.
     pub drifted: Pose2,
 }
 
-/// The batch of an epoch under some condition; `None` where the trajectory does not cover it.
+/// The batch of an epoch under a condition; `None` where the trajectory does not cover it.
 ///
 /// # Errors
 /// When scans and odometry do not fit together.
@@ -111,7 +111,7 @@ pub fn ask(
         None => way,
     };
     let (seen, mounts) = (&scans[from..to], &world.drive.mounts);
-    // Who tells movers by their radial speeds corrects odometry by those of what stands still.
+    // A method that knows movers by their radial speeds also corrects the odometry by those of standing objects.
     let corrected = match movers {
         Movers::Included => None,
         Movers::Excluded => dedrifted(seen, mounts, &way, &EgoConfig::default(), &OdometryBias::default()),
@@ -141,7 +141,7 @@ fn occupied(batch: &Batch) -> usize {
     cells.len()
 }
 
-/// The part of a trajectory from the last pose before a time to the first one after another.
+/// The part of a trajectory from the last pose before `start_us` to the first one after `end_us`.
 fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajectory> {
     let mut part = Trajectory::default();
     let mut before = None;

@@ -1,4 +1,4 @@
-//! The map's floor: how far off the poses were that it was made from.
+//! The map's own error, the floor of every method's error: the errors of the poses that the map was made from.
 
 use echofix_core::drive::Drive;
 use echofix_core::geo::Grid;
@@ -6,18 +6,19 @@ use echofix_core::pose::{Pose2, wrap_angle};
 
 use super::map::on_grid;
 
-/// What the mapping vehicle sees from so far away lies in the window of a fix, metres.
+/// Poses of the mapping vehicle within this distance of a fix contribute to its map window, metres.
 const NEAR_M: f64 = 50.0;
-/// Every so many poses are looked at: their errors vary slowly.
+/// One pose in so many is enough, because their errors vary slowly.
 const STEP: usize = 10;
 
-/// Errors of the poses that maps were made from, by contributor: empty where the truth is not known.
+/// True poses of the mapping drives, and the errors of the reference poses there, by contributor; empty where the truth is not
+/// known.
 pub struct Floor {
     contributors: Vec<Vec<(Pose2, Pose2)>>,
 }
 
 impl Floor {
-    /// From drives whose truth is known.
+    /// The errors of the mapping drives' reference poses.
     ///
     /// # Errors
     /// When a pose is off the grid.
@@ -33,8 +34,8 @@ impl Floor {
         Ok(Self { contributors: mapping.iter().map(errors).collect::<anyhow::Result<_>>()? })
     }
 
-    /// Mean error of the poses from which the first so many contributors saw a position: metres east and
-    /// north, radians; `None` where that is not known.
+    /// Mean error of the poses from which the first so many contributors saw the surroundings of `pose`: metres east and north,
+    /// radians. `None` where it is not known.
     pub fn around(&self, pose: &Pose2, contributors: usize) -> Option<Pose2> {
         let mut sum = [0.0; 3];
         let mut count = 0.0;

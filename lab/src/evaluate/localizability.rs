@@ -1,4 +1,4 @@
-//! What the map alone expects of a fix, beside what came of it.
+//! What the map alone expects of a fix, beside the fix.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -23,19 +23,19 @@ use super::simulated::is_scene;
 use super::statistics::rank;
 use super::world::EvaluationWorld;
 
-/// Asks the map what it expects, with the buffers of one thread.
+/// Predicts fixes from the map, with the buffers of one thread.
 pub struct Forecaster {
     windows: Arc<Windows>,
     assessor: Assessor,
 }
 
 impl Forecaster {
-    /// On the prepared maps that the methods share.
+    /// Predicts from the prepared maps that the methods use, too.
     pub fn new(windows: &Arc<Windows>) -> Self {
         Self { windows: Arc::clone(windows), assessor: Assessor::default() }
     }
 
-    /// Adds to an epoch's rows of the headline's condition what the service's map expects at the true position.
+    /// Adds the prediction at the true position to an epoch's rows of the headline's condition.
     ///
     /// # Errors
     /// When the world has no such map.
@@ -65,7 +65,7 @@ impl Forecaster {
     }
 }
 
-/// Groups of equal size that rows are sorted into by what was expected.
+/// Number of groups into which fixes are divided by their expected sigma, all of one size.
 const BINS: usize = 5;
 
 /// The section of the report.
@@ -84,7 +84,7 @@ pub fn section(rows: &[EpochRecord], base: &Condition) -> String {
     .join("\n")
 }
 
-/// The figures for machines.
+/// The figures as JSON.
 #[must_use]
 pub fn figures(rows: &[EpochRecord], base: &Condition) -> Value {
     let rows = forecast(rows, base);
@@ -97,14 +97,14 @@ pub fn figures(rows: &[EpochRecord], base: &Condition) -> Value {
     json!({ "rank_correlation": rank(&streets), "streets": mistaken(false), "scenes": mistaken(true) })
 }
 
-/// The service's rows that something was expected of.
+/// The service's fixes that have a prediction.
 fn forecast<'a>(rows: &'a [EpochRecord], base: &Condition) -> Vec<&'a EpochRecord> {
     let asked: Vec<&EpochRecord> =
         rows.iter().filter(|row| row.condition == *base && !row.forecast.is_empty()).collect();
     of_method(&asked, MethodName::Echofix.word())
 }
 
-/// Rank correlation of expected sigma and realised error, of usable fixes.
+/// Rank correlation of expected sigma and realised error, over the usable fixes.
 fn rank(rows: &[&EpochRecord]) -> Option<f64> {
     let pairs = rows.iter().filter(|row| row.usable).filter_map(|row| Some((row.forecast_m?, row.net_m?)));
     rank::correlation(&pairs.collect::<Vec<_>>())
@@ -174,7 +174,7 @@ mod tests {
         EpochRecord { usable: error_m < 1.0, method: MethodName::Echofix.word(), ..of }
     }
 
-    /// Catches bins that are not sorted by what was expected, and scenes counted among towns.
+    /// Catches: groups that are not sorted by the expected sigma, and scenes that count as towns.
     #[test]
     fn what_was_expected_is_set_beside_what_came() {
         let base = Condition::default();

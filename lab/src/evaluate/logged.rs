@@ -1,4 +1,4 @@
-//! Worlds of recorded drives: any drive logs stand for simulated ones.
+//! Worlds of drive logs instead of simulated drives.
 
 use std::path::{Path, PathBuf};
 
@@ -11,12 +11,12 @@ use echofix_core::odometry::Trajectory;
 use super::map::on_grid;
 use super::world::Drives;
 
-/// What kind of site a log is.
+/// The site kind of drive logs.
 pub const LOG: &str = "log";
 
-/// A drive to localize on the map of others.
+/// A drive log to localize, and the logs that its map is made of.
 ///
-/// With `known_odometry` batches are organised by the drive's known poses, as the paper did.
+/// With `known_odometry`, batches are organised by the drive's known poses, as the paper did.
 ///
 /// # Errors
 /// When a log cannot be read or holds no known poses.
@@ -34,7 +34,7 @@ pub fn drives(localized: &Path, mapping: &[PathBuf], known_odometry: bool) -> an
     })
 }
 
-/// The known poses as odometry: ground metres from their start.
+/// The known poses as odometry: ground metres from the first pose.
 fn of_known_poses(drive: &Drive) -> anyhow::Result<Trajectory> {
     let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
     let first = poses.first().context("the drive holds no known poses to organise batches by")?;

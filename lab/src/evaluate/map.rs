@@ -1,4 +1,4 @@
-//! A radar map in memory: tiles without a service.
+//! A radar map in memory, without a service.
 
 use std::collections::BTreeMap;
 
@@ -15,20 +15,20 @@ use echofix_core::tile::{Ledger, Tile};
 use echofix_core::time::DAY_US;
 use echofix_core::window::{EvidenceWindow, MapSquare};
 
-/// Reference poses farther apart than this are not interpolated between, seconds.
+/// Longest gap between reference poses that is interpolated, seconds.
 const MAX_POSE_GAP_S: f64 = 0.5;
 
-/// What becomes of detections that move, by their radial speed.
+/// Whether detections that move, by their radial speed, are part of maps and batches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Movers {
-    /// They stay: the paper has no such gate.
+    /// They are: the paper has no gate for them.
     Included,
-    /// They are left out.
+    /// They are dropped.
     Excluded,
 }
 
 impl Movers {
-    /// The paper's gates of speed and range, with or without that of movers.
+    /// The paper's gates for speed and range, with or without one for movers.
     pub fn gate(self) -> Gate {
         match self {
             Self::Excluded => Gate::default(),
@@ -37,21 +37,21 @@ impl Movers {
     }
 }
 
-/// Which map: the key of cached windows.
+/// Identifies a map in the caches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct MapKey {
     /// Number of the world.
     pub world: usize,
-    /// Contributors that made it.
+    /// Number of its contributors.
     pub contributors: usize,
-    /// What became of their movers.
+    /// Whether it contains movers.
     pub movers: Movers,
 }
 
-/// The tiles that some contributors made.
+/// The tiles of some contributors.
 #[derive(Debug, Clone)]
 pub struct RadarMap {
-    /// Which map.
+    /// Identifies the map in the caches.
     pub key: MapKey,
     zone: Zone,
     tiles: BTreeMap<TileId, Tile>,
@@ -68,7 +68,7 @@ impl RadarMap {
         Self { key, zone, tiles }
     }
 
-    /// Adds all that another map holds; nothing of it fades.
+    /// Adds all evidence of another map, without decay.
     pub fn join(&mut self, other: &Self) {
         for (id, theirs) in &other.tiles {
             let joined = self.tiles.get(id).map_or_else(|| theirs.clone(), |ours| ours.merged(theirs));
@@ -76,13 +76,13 @@ impl RadarMap {
         }
     }
 
-    /// The same tiles, for others to be added to.
+    /// The same tiles, as the map of so many contributors.
     #[must_use]
     pub fn grown_from(&self, contributors: usize) -> Self {
         Self { key: MapKey { contributors, ..self.key }, ..self.clone() }
     }
 
-    /// Adds what a drive saw from its reference poses, those known to `max_sigma_m` or better.
+    /// Adds the evidence of a drive from its reference poses, those known to `max_sigma_m` or better.
     ///
     /// # Errors
     /// When the drive has no such pose, or its scans and poses do not fit together.
@@ -95,7 +95,7 @@ impl RadarMap {
             let trajectory = on_grid(&grid, poses)?;
             let from = scans.partition_point(|s| s.time_us < poses[0].time_us);
             let to = scans.partition_point(|s| s.time_us <= poses[poses.len() - 1].time_us);
-            // Movers are gone already, and odometry tells them better than absolute poses would.
+            // Movers are dropped already: odometry shows them better than absolute poses would.
             let gate = Movers::Included.gate();
             gathering.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
             day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
@@ -107,30 +107,30 @@ impl RadarMap {
             )
         })?;
         for (id, evidence) in gathering.finish(0).tiles {
-            // A drive goes in at once, so that no ledger has to remember it.
+            // The whole drive is folded at once, so that no ledger is needed.
             let pass = Pass { day, contributor };
             self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &evidence);
         }
         Ok(())
     }
 
-    /// The map in a square.
+    /// The evidence in a square.
     pub fn window(&self, frame: MapSquare) -> EvidenceWindow {
         EvidenceWindow::stitch(frame, frame.tiles().filter_map(|id| Some((id, self.tiles.get(&id)?))))
     }
 
-    /// One tile, where there is one.
+    /// A tile; `None` where the map has none.
     pub fn tile(&self, id: TileId) -> Option<&Tile> {
         self.tiles.get(&id)
     }
 
-    /// The zone of its grid.
+    /// The UTM zone of the map.
     pub fn zone(&self) -> Zone {
         self.zone
     }
 }
 
-/// The drive's scans, without its movers where they are dropped.
+/// The scans of a drive, without movers if `movers` excludes them.
 pub fn gated(drive: &Drive, movers: Movers) -> Vec<Scan> {
     let mut scans = drive.scans.clone();
     if movers == Movers::Excluded {
@@ -145,7 +145,7 @@ pub fn gated(drive: &Drive, movers: Movers) -> Vec<Scan> {
     scans
 }
 
-/// Poses on the grid, in order of time.
+/// Geodetic poses as a trajectory on the grid.
 ///
 /// # Errors
 /// When a pose is off the grid or the times do not increase.
@@ -157,7 +157,7 @@ pub fn on_grid(grid: &Grid, poses: &[GeoPose]) -> anyhow::Result<Trajectory> {
     Ok::<_, odometry::Error>(trajectory).map_err(Into::into)
 }
 
-/// What poses a map is made from: those known to `max_sigma_m` or better, whatever their heading's sigma.
+/// Which poses a map is made from: those known to `max_sigma_m` or better, whatever the sigma of their heading.
 pub fn mapped_from(max_sigma_m: f64) -> SegmentLimits {
     SegmentLimits {
         max_sigma_position_m: max_sigma_m,

@@ -1,4 +1,4 @@
-//! The methods under test, and all that knows how they align.
+//! The methods that are compared, and the maps as they need them.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,32 +24,32 @@ use moka::sync::Cache;
 
 use super::map::{MapKey, Movers, RadarMap};
 
-/// Integrity risk that protection levels are asked for.
+/// Integrity risk of the protection levels.
 pub const RISK: f64 = 1e-3;
 
-/// What a method says.
+/// The answer of a method.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MethodAnswer {
-    /// Map metres and radians from grid east.
+    /// The pose: map metres, radians from grid east.
     pub pose: Pose2,
-    /// Of (east m, north m, yaw rad), when the method knows one.
+    /// Covariance of (east m, north m, yaw rad), if the method gives one.
     pub covariance: Option<[[f64; 3]; 3]>,
-    /// May it be used?
+    /// Whether it may be used.
     pub usable: bool,
-    /// Why (not).
+    /// The verdict in a word, which says why it may not be used.
     pub verdict: &'static str,
-    /// When the method knows them.
+    /// Protection levels, if the method gives them.
     pub protection: Option<Protection>,
-    /// Score of the best distinct alternative relative to the answer's; 0 without one.
+    /// Score of the best alternative relative to the answer's; 0 without an alternative.
     pub second: f64,
-    /// Log-likelihood by which the answer exceeds it, nats, when the method knows it.
+    /// Log-likelihood by which the answer exceeds the best alternative, nats, if the method gives it.
     pub margin: Option<f64>,
-    /// Time of the fix itself, its window prepared.
+    /// Time of the fix, without that of preparing its map window.
     pub elapsed: Duration,
 }
 
 impl MethodAnswer {
-    /// A pose of a method that never says no.
+    /// The answer of a method that has no verdict.
     fn unjudged(pose: Pose2) -> Self {
         let (covariance, protection, margin) = (None, None, None);
         let elapsed = Duration::ZERO;
@@ -70,33 +70,33 @@ impl MethodAnswer {
 pub trait Method: Send {
     /// Its name in tables.
     fn name(&self) -> &'static str;
-    /// What becomes of movers, in its map and in its batches.
+    /// Whether movers are part of its maps and batches.
     fn movers(&self) -> Movers;
     /// Finds the pose of a batch on a map.
     fn fix(&mut self, map: &RadarMap, batch: &Batch, prior: &Prior) -> MethodAnswer;
 }
 
-/// A method by its name on the command line.
+/// The name of a method on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum MethodName {
-    /// The paper's: the hypothesis of the highest correlation.
+    /// The paper's method: the hypothesis of the highest correlation.
     Paper,
-    /// The same without movers, and with odometry that radial speeds corrected.
+    /// The paper's method without movers, and with odometry that radial speeds corrected.
     Gated,
     /// The hypothesis of the highest mean log weight, without movers.
     Weights,
-    /// The service's.
+    /// The method of the service.
     Echofix,
-    /// The same with the exact maximum, by bounds.
+    /// The method of the service with the exact search by bounds.
     Exact,
-    /// The same with odometry taken as rigid over a batch.
+    /// The method of the service without drift: the batch is taken as rigid.
     Rigid,
-    /// The same without radial speeds: movers stay, and odometry is not corrected.
+    /// The method of the service without radial speeds: movers are included, and the odometry is not corrected.
     NoDoppler,
 }
 
 impl MethodName {
-    /// What the ablation compares, from the paper's method on.
+    /// The methods of the ablation, from the paper's on.
     pub const LADDER: [Self; 7] =
         [Self::Paper, Self::Gated, Self::Weights, Self::Rigid, Self::Echofix, Self::NoDoppler, Self::Exact];
 
@@ -113,7 +113,7 @@ impl MethodName {
         }
     }
 
-    /// The method, for one thread; `windows` is shared by all.
+    /// The method, for one thread. All threads use the same `windows`.
     pub fn method(self, windows: &Arc<Windows>) -> Box<dyn Method> {
         let windows = Arc::clone(windows);
         match self {
@@ -132,7 +132,7 @@ impl MethodName {
     }
 }
 
-/// Prepared maps, the least recently used forgotten.
+/// A cache of prepared maps, without those that were not used for the longest time.
 pub struct Windows {
     images: Cache<(MapKey, MapSquare), Arc<MapImage>>,
     tiles: Cache<(MapKey, TileId), Arc<TileWeights>>,
@@ -141,7 +141,7 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// Room for so many mebibytes.
+    /// An empty cache with room for so many mebibytes.
     pub fn new(mib: u64) -> Arc<Self> {
         let images = Cache::builder()
             .weigher(|_, image: &Arc<MapImage>| (image.bytes() >> 10) as u32)
@@ -168,7 +168,7 @@ impl Windows {
         self.images.get_with((map.key, frame), prepare)
     }
 
-    /// The weights of the tiles of a square.
+    /// The prepared tiles of a square.
     pub fn weights(&self, map: &RadarMap, frame: MapSquare) -> Vec<Arc<TileWeights>> {
         let known = frame.tiles().filter(|id| map.tile(*id).is_some());
         let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
@@ -176,7 +176,7 @@ impl Windows {
     }
 
     fn plans(&self, side: usize) -> Arc<Plans> {
-        // A panic while holding the lock leaves a map that is still a map.
+        // A thread that panics with the lock leaves the map whole.
         let mut plans = self.plans.lock().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(plans.entry(side).or_insert_with(|| Arc::new(Plans::new(side))))
     }
@@ -221,7 +221,7 @@ impl Method for Paper {
     }
 }
 
-/// The hypothesis of the highest sum of log weights, as it is.
+/// The hypothesis of the highest sum of log weights, without refinement.
 struct Highest {
     windows: Arc<Windows>,
     pipeline: Pipeline,
@@ -251,7 +251,7 @@ impl Method for Highest {
     }
 }
 
-/// What the service answers, whole or with a step left out.
+/// The method of the service, whole or without one of its steps.
 struct Echofix {
     name: MethodName,
     windows: Arc<Windows>,

@@ -9,10 +9,10 @@ use super::record::EpochRecord;
 use super::section::Section;
 use echofix_harness::percentiles::Percentiles;
 
-/// Answers this near each other came from one candidate, metres.
+/// Answers within this distance of each other came from the same candidate, metres.
 const SAME_M: f64 = 0.1;
 
-/// Two answers to one question.
+/// The answers of both searches to one request.
 struct Pair<'a> {
     fast: &'a EpochRecord,
     exact: &'a EpochRecord,
@@ -28,7 +28,7 @@ impl Pair<'_> {
     }
 }
 
-/// The section: both searches were asked the same questions.
+/// The section of the report. Both searches had the same requests.
 pub fn section(rows: &[&EpochRecord], base: Condition) -> Section {
     let pairs = pairs(rows, base);
     let mut by_site_kind: BTreeMap<&str, Vec<&Pair<'_>>> = BTreeMap::new();

@@ -1,18 +1,18 @@
-//! The paper's "Experimental Results" again, in one process: maps, drives and fixes without a service.
+//! `echofix evaluate`: the paper's "Experimental Results" and further experiments, in one process and without a service.
 //!
-//! - [`command`]: its arguments, and the order of the work.
-//! - [`condition`]: under which conditions fixes are asked for, and which experiment compares which.
-//! - [`map`]: a radar map in memory; [`floor`]: how far off its own poses were.
-//! - [`world`]: maps of one day, a drive on another, the truth, [`simulated`] or [`logged`]; [`worlds`]: which.
-//! - [`epoch`]: when is asked and with what; [`method`]: the methods under test.
-//! - [`record`]: one fix beside the truth; [`mod@run`]: all of them.
-//! - [`localizability`]: what the map alone expects of a fix, and what came of it.
+//! - [`command`]: the arguments and the order of the work.
+//! - [`condition`]: the conditions under which fixes are made, and the experiments that compare them.
+//! - [`map`]: a radar map in memory; [`floor`]: the map's own error.
+//! - [`world`]: maps of one day, a drive of another and its truth, [`simulated`] or [`logged`]; [`worlds`]: all of a run.
+//! - [`epoch`]: the epochs at which fixes are made; [`method`]: the methods that are compared.
+//! - [`record`]: one fix beside the truth; [`mod@run`]: all fixes.
+//! - [`localizability`]: what the map alone expects of a fix, beside the fix.
 //! - [`statistics`]: percentiles, intervals, curves.
-//! - [`groups`], [`cells`], [`tables`], [`plots`]: what is shown; [`section`]: a part of the report;
-//!   [`sections`]: all of them, experiment by experiment; of them [`ablation`] and [`misses`] have files of their own.
-//! - [`crowd`]: experiments with towns, vehicles and maps of their own: a year, attacks, uploads.
-//! - [`about`]: how the figures came about; [`summary`]: figures for machines.
-//! - [`sanity`]: what any run must come out as.
+//! - [`groups`], [`cells`], [`tables`], [`plots`]: tables and figures; [`section`]: a part of the report; [`sections`]: all parts.
+//!   [`ablation`] and [`misses`] have their own files.
+//! - [`crowd`]: experiments with their own towns, vehicles and maps.
+//! - [`about`]: how the figures were made; [`summary`]: the figures as JSON.
+//! - [`sanity`]: bounds that every sound run keeps.
 
 pub mod ablation;
 pub mod about;

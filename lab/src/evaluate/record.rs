@@ -1,4 +1,4 @@
-//! One fix beside the truth: a row of the epochs' file.
+//! One fix beside the truth, a row of the file of `--epochs`.
 
 use echofix_core::pose::{Pose2, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -13,45 +13,45 @@ pub const WRONG_M: f64 = 1.0;
 /// One fix beside the truth.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct EpochRecord {
-    /// What kind of site: a town, a scene, a log.
+    /// The kind of site: a town, one of the scenes, or a drive log.
     #[serde(rename = "place")]
     pub site_kind: &'static str,
     /// Name of the world.
     pub world: String,
     /// Epoch within the world, from 0.
     pub epoch: usize,
-    /// Epochs of one block are near in time and space, and not independent.
+    /// Number of its block. Epochs of one block are near in time and space, and not independent.
     pub block: usize,
     /// Reference time of the batch, microseconds since the Unix epoch.
     pub time_us: i64,
-    /// Prior within the epoch, from 0.
+    /// Number of the prior within the epoch, from 0.
     pub prior: usize,
-    /// Under which conditions; the next five say it in columns.
+    /// The conditions; the next five columns give them.
     #[serde(skip)]
     pub condition: Condition,
-    /// Seconds of scans in the batch.
+    /// Length of the batch, seconds.
     pub batch_s: f64,
-    /// One-sigma drift of the batch's trajectory after 5 s, metres; 0 without.
+    /// Standard deviation of the trajectory's drift after 5 s, metres; 0 without drift.
     pub drift_m: f64,
-    /// The same of its heading, degrees.
+    /// Standard deviation of its heading's drift after 5 s, degrees.
     pub drift_deg: f64,
-    /// How the drift grows; empty without.
+    /// How the drift grows; empty without drift.
     pub growth: &'static str,
-    /// Contributors that made the map.
+    /// Number of contributors to the map.
     pub contributors: usize,
-    /// Is the epoch one of those that all conditions were asked at?
+    /// Whether all conditions were evaluated at this epoch.
     pub swept: bool,
-    /// The method.
+    /// Name of the method.
     pub method: &'static str,
     /// Speed over ground, metres per second.
     pub speed_mps: f64,
-    /// Detections of the batch.
+    /// Number of the batch's points.
     pub points: usize,
-    /// Cells of 10 cm they occupy.
+    /// Number of cells that they occupy.
     pub cells: usize,
-    /// Its words.
+    /// The verdict in a word.
     pub verdict: &'static str,
-    /// May the answer be used?
+    /// Whether the answer may be used.
     pub usable: bool,
     /// Error of the newest pose along the true heading, metres.
     pub along_m: f64,
@@ -59,23 +59,23 @@ pub struct EpochRecord {
     pub cross_m: f64,
     /// Of the heading, degrees.
     pub yaw_deg: f64,
-    /// Error of the offset of the drifted trajectory as a whole (the paper's, with drift), metres.
+    /// Error of the offset of the drifted trajectory as a whole, as the paper measures it, metres.
     pub offset_m: f64,
     /// Of its heading, degrees.
     pub offset_deg: f64,
-    /// Horizontal error against what the vehicle's own positioning believed, metres.
+    /// Horizontal difference from the vehicle's own positioning, metres.
     pub reference_m: Option<f64>,
     /// Of the heading, degrees.
     pub reference_deg: Option<f64>,
-    /// Error of the map's own georeference here, metres; empty where unknown.
+    /// The map's own error here, metres; empty where it is not known.
     pub floor_m: Option<f64>,
     /// Of its heading, degrees.
     pub floor_deg: Option<f64>,
-    /// Horizontal error without that of the map, metres.
+    /// Horizontal error without the map's own error, metres.
     pub net_m: Option<f64>,
     /// Normalised error squared of the position, 2 degrees of freedom.
     pub nees_2: Option<f64>,
-    /// Of position and heading, 3 degrees of freedom.
+    /// Normalised error squared of position and heading, 3 degrees of freedom.
     pub nees_3: Option<f64>,
     /// Protection level along the heading, metres.
     pub protection_along_m: Option<f64>,
@@ -85,27 +85,28 @@ pub struct EpochRecord {
     pub protection_yaw_deg: Option<f64>,
     /// Score of the best alternative relative to the answer's.
     pub second: f64,
-    /// Log-likelihood by which the answer exceeds the best alternative, nats; empty where unknown.
+    /// Log-likelihood by which the answer exceeds the best alternative, nats; empty where it is not known.
     pub margin: Option<f64>,
     /// Milliseconds of the fix.
     pub ms: f64,
-    /// What the map alone expects of a fix at the true position; empty where it was not asked.
+    /// The verdict that the map alone expects at the true position; empty without a prediction.
     pub forecast: &'static str,
-    /// Its horizontal sigma, without the map's own error, metres.
+    /// The expected horizontal sigma, without the map's own error, metres.
     pub forecast_m: Option<f64>,
-    /// Its sigma along the weakest axis, with the map's own error, metres.
+    /// The expected sigma along the weakest axis, with the map's own error, metres.
     pub forecast_weakest_m: Option<f64>,
-    /// Its margin over the best pose elsewhere, nats.
+    /// The expected margin over the best pose elsewhere, nats.
     pub forecast_margin: Option<f64>,
 }
 
-/// Where the vehicle was, and what else the answer is compared with.
+/// The poses that an answer is compared with.
 pub struct Facts {
     /// True pose at the reference time: map metres, radians.
     pub truth: Pose2,
-    /// What its own positioning believed.
+    /// The pose of the vehicle's own positioning.
     pub reference: Option<Pose2>,
-    /// The same as the truth, had the drift not been an error: the offset of the trajectory is taken from it.
+    /// The pose that the drifted trajectory leads to, from the true pose at its start. The trajectory's offset is measured
+    /// from it.
     pub drifted: Pose2,
     /// Map metres a ground metre.
     pub scale: f64,
@@ -114,7 +115,7 @@ pub struct Facts {
 }
 
 impl EpochRecord {
-    /// The row with what a method answered.
+    /// This row with the answer of a method.
     #[must_use]
     pub fn answered(mut self, outcome: &MethodAnswer, facts: &Facts) -> Self {
         let off = facts.truth.between(&outcome.pose);
@@ -159,19 +160,19 @@ impl EpochRecord {
         Some(self.protection_along_m?.hypot(self.protection_cross_m?))
     }
 
-    /// Is it wrong by more than [`WRONG_M`]?
+    /// Whether it is wrong by more than [`WRONG_M`].
     #[must_use]
     pub fn wrong(&self) -> bool {
         self.error_m() > WRONG_M
     }
 
-    /// How doubtful the answer is: the more, the likelier a rival is the right one.
+    /// How doubtful the answer is: the larger, the likelier an alternative is the right one.
     #[must_use]
     pub fn doubt(&self) -> f64 {
         self.margin.map_or(self.second, |margin| -margin)
     }
 
-    /// Does an error exceed its protection level?
+    /// Whether an error exceeds its protection level.
     #[must_use]
     pub fn beyond_protection(&self) -> bool {
         let exceeds = |error: f64, level: Option<f64>| level.is_some_and(|level| error.abs() > level);
@@ -181,8 +182,8 @@ impl EpochRecord {
     }
 }
 
-/// Normalised errors squared: of (east, north), then of (east, north, yaw); `None` where the
-/// covariance is not positive definite.
+/// Normalised errors squared of (east, north) and of (east, north, yaw); `None` where the covariance is not positive
+/// definite.
 fn nees(truth: &Pose2, answer: &Pose2, covariance: [[f64; 3]; 3]) -> (Option<f64>, Option<f64>) {
     let error = Vector3::new(
         answer.x_m - truth.x_m,

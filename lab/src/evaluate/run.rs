@@ -1,4 +1,4 @@
-//! Asks every method at every epoch, under every condition.
+//! Localizes the vehicle with every method at every epoch, under every condition.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,26 +17,26 @@ use super::method::{Method, MethodName, Windows};
 use super::record::{EpochRecord, Facts};
 use super::world::EvaluationWorld;
 
-/// How much is asked.
+/// What is evaluated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EvaluationPlan {
-    /// Seconds of driving between epochs.
+    /// Time between epochs, seconds of driving.
     pub every_s: f64,
-    /// Epochs of a world, at most.
+    /// Largest number of epochs in a world.
     pub epochs: usize,
-    /// Of those, epochs at which every condition is asked; the others see the headline only.
+    /// Number of these epochs at which all conditions are evaluated, and not only those of the headline.
     pub swept: usize,
-    /// The headline's condition.
+    /// The conditions of the headline.
     pub base: Condition,
-    /// Priors drawn an epoch.
+    /// Random priors at each epoch.
     pub priors: usize,
-    /// Seed of priors and drift.
+    /// Seed of the priors and of the odometry's drift.
     pub seed: u64,
     /// The methods, in the order of the tables.
     pub methods: Vec<MethodName>,
-    /// Further methods, and under which conditions they are asked; at swept epochs only.
+    /// Further methods, and the conditions under which they are evaluated, at swept epochs only.
     pub variants: Vec<(MethodName, Condition)>,
-    /// Is the map asked what it expects of fixes?
+    /// Whether fixes are also predicted from the map alone.
     pub forecasts: bool,
 }
 
@@ -52,19 +52,19 @@ impl EvaluationPlan {
         all
     }
 
-    /// All methods, for one thread.
+    /// All methods with their names, for one thread.
     fn ready(&self, windows: &Arc<Windows>) -> Vec<(MethodName, Box<dyn Method>)> {
         self.all_methods().into_iter().map(|name| (name, name.method(windows))).collect()
     }
 
-    /// Is a method asked under a condition at an epoch?
+    /// Whether a method is evaluated under a condition at an epoch.
     fn asks(&self, name: MethodName, condition: &Condition, epoch: &Epoch) -> bool {
         let variant = || self.variants.iter().any(|(n, c)| *n == name && c == condition);
         self.methods.contains(&name) || (epoch.swept && variant())
     }
 }
 
-/// Asks every method at a world's epochs; the rows are in order of epoch, condition, prior and method.
+/// The fixes of every method at a world's epochs, in order of epoch, condition, prior and method.
 ///
 /// # Errors
 /// When the world's drives do not fit together.
@@ -125,7 +125,7 @@ fn at_epoch(
     Ok(rows)
 }
 
-/// One method's answer to one question.
+/// The fix of one method, beside the truth.
 fn fix(
     world: &EvaluationWorld,
     epoch: &Epoch,
@@ -136,7 +136,7 @@ fn fix(
 ) -> anyhow::Result<EpochRecord> {
     let EpochBatch { batch, cells, drifted } = asked;
     let Some(truth) = world.truth.at(epoch.time_us) else { anyhow::bail!("the truth ends within the drive") };
-    // Every condition and method starts from the same errors, drawn around what it can find.
+    // The priors of all conditions and methods have the same errors, around the pose that the batch leads to.
     let prior = prior(drifted, world.scale, seed.wrapping_add(number as u64));
     let outcome = method.fix(world.map(condition.contributors, method.movers())?, batch, &prior);
     let floor = world.floor.around(&truth, condition.contributors);
@@ -165,7 +165,7 @@ fn fix(
     Ok(row.answered(&outcome, &facts))
 }
 
-/// A seed of its own for every epoch of every world.
+/// A different seed for every epoch of every world.
 fn seed_of(seed: u64, world: usize, epoch: usize) -> u64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(((world as u64) << 32) | epoch as u64);

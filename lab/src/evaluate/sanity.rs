@@ -1,4 +1,4 @@
-//! What any run must come out as: a broken method, map or simulator does not pass.
+//! Bounds that every sound run keeps. A broken method, map or simulator exceeds them.
 
 use anyhow::ensure;
 use echofix_sim::Scene;
@@ -9,23 +9,23 @@ use super::record::EpochRecord;
 use super::simulated::is_scene;
 use echofix_harness::percentiles::Percentiles;
 
-/// Median error that any method stays below on 5 s batches, metres: twice the usual.
+/// Largest median error of a method with 5 s batches, metres: twice the usual one.
 const MEDIAN_M: f64 = 0.35;
-/// The same of the heading, degrees: half a step of the search, and some.
+/// Largest median error of the heading, degrees: a little more than half a step of the search.
 const MEDIAN_DEG: f64 = 0.5;
-/// Fraction of wrong answers that no method exceeds: several times the usual.
+/// Largest fraction of wrong answers: several times the usual one.
 const MOST_WRONG: f64 = 0.08;
-/// Fraction of wrong answers among the usable ones of a method that judges.
+/// Largest fraction of wrong answers among the usable ones of a method with a verdict.
 const MOST_WRONG_USABLE: f64 = 0.02;
-/// Fraction of the answers that a method that judges may call usable where nothing stands.
+/// Largest fraction of the answers that a method with a verdict may call usable in an open field.
 const MOST_USABLE_IN_A_FIELD: f64 = 0.1;
-/// Fraction of the answers that a method must call usable in a town.
+/// Smallest fraction of the answers that a method must call usable in a town.
 const LEAST_USABLE: f64 = 0.3;
 
 /// Checks the headline's fixes.
 ///
 /// # Errors
-/// Naming what is out of bounds.
+/// Names the first figure that is out of bounds.
 pub fn check(rows: &[EpochRecord], base: &Condition) -> anyhow::Result<()> {
     let all = rows;
     let rows: Vec<&EpochRecord> =

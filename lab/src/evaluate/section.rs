@@ -1,4 +1,4 @@
-//! A part of the report, and what is drawn beside it.
+//! A part of the report, with its figures.
 
 use std::path::Path;
 
@@ -10,30 +10,30 @@ use super::tables::ALERT_M;
 
 /// A part of the report.
 pub struct Section {
-    /// Which experiment.
+    /// The experiment.
     pub experiment: Experiment,
-    /// What is shown.
+    /// Text and tables, in Markdown.
     pub text: String,
-    /// File name and figure.
+    /// The figures, with their file names.
     pub figures: Vec<(&'static str, Figure)>,
-    /// Where its figures come from, if not from the fixes that the sections share.
+    /// The data it is made from, if it is not the fixes of the run.
     pub data: Option<String>,
 }
 
-/// What is drawn.
+/// A figure of the report.
 pub enum Figure {
-    /// Panels of how often an error is exceeded.
+    /// Panels that show how often an error is exceeded.
     Ccdfs(Vec<Panel>),
-    /// A title and detectors' curves.
+    /// A title, and the receiver operating characteristics of detectors.
     Rocs(String, Vec<Curve>),
-    /// A title and (error, level) pairs.
+    /// A title, and (error, protection level) pairs.
     Stanford(String, Vec<(f64, f64)>),
-    /// A title and errors over days.
+    /// A title, and errors over days.
     Days(String, Vec<Curve>),
 }
 
 impl Section {
-    /// Writes the figures.
+    /// Draws the figures into a folder.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -51,7 +51,7 @@ impl Section {
     }
 }
 
-/// Rows of a condition: of the town or log, not of the scenes.
+/// The fixes under a condition in towns or logs, without those in scenes.
 pub fn under<'a>(rows: &[&'a EpochRecord], condition: &Condition, swept: bool) -> Vec<&'a EpochRecord> {
     let in_town = |r: &&&EpochRecord| !is_scene(r.site_kind);
     let asked = |r: &&&EpochRecord| r.condition == *condition && (!swept || r.swept);

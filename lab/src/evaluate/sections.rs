@@ -1,4 +1,4 @@
-//! The report, experiment by experiment: words, tables and figures.
+//! The report, experiment by experiment: text, tables and figures.
 
 use echofix_core::align::verdict::Integrity;
 
@@ -14,7 +14,7 @@ use super::statistics::roc::roc;
 use super::tables;
 use super::{ablation, localizability, misses};
 
-/// The section of an experiment.
+/// The section of an experiment in the report.
 pub fn section(
     experiment: Experiment,
     rows: &[EpochRecord],
@@ -63,7 +63,7 @@ fn headline(rows: &[&EpochRecord], base: Condition) -> Section {
         &image("Stanford diagram", "stanford.svg"),
     ]
     .join("\n");
-    // Of several methods that give levels the last one is shown: variants come before what is offered.
+    // Of several methods with protection levels the last one is shown: variants come before the service's method.
     let leveled = groups.iter().rev().find(|(_, rows)| rows.iter().any(|r| r.protection_m().is_some()));
     let (name, leveled) = leveled.map_or(("", &rows), |(name, rows)| (name.as_str(), rows));
     let pairs = leveled.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
@@ -113,7 +113,7 @@ fn swept(experiment: Experiment, rows: &[&EpochRecord], conditions: &[Condition]
     Section { experiment, text, figures: vec![(file, Figure::Ccdfs(all_panels))], data: None }
 }
 
-/// Horizontal and heading errors of groups, a colour each.
+/// Panels with the horizontal and the heading errors of groups, each in its own colour.
 fn panels(prefix: &str, groups: &Groups<'_>) -> Vec<Panel> {
     let curves = |error: fn(&EpochRecord) -> f64| -> Vec<Curve> {
         let curve = |(colour, (name, rows)): (usize, &(String, Vec<&EpochRecord>))| Curve {
@@ -176,7 +176,7 @@ fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
     }
 }
 
-/// How a method's margins, or relative scores, tell wrong answers, as a curve and in a line of words.
+/// How well a method's margins or relative scores detect wrong answers: a curve and a line of text.
 fn detector(colour: usize, name: &str, rows: &[&EpochRecord]) -> Option<(Curve, String)> {
     let found = roc(rows.iter().map(|row| (row.doubt(), row.wrong())))?;
     let line = format!(

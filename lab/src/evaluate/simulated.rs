@@ -1,4 +1,4 @@
-//! Simulated worlds: a town or a single street, mapped on one day and driven again on another.
+//! Simulated worlds: a town or a scene, mapped on one day and driven again on another.
 
 use echofix_core::drive::Drive;
 use echofix_core::time::DAY_US;
@@ -7,19 +7,19 @@ use rayon::prelude::*;
 
 use super::world::Drives;
 
-/// What kind of site a town is.
+/// The site kind of towns.
 pub const TOWN: &str = "town";
 /// Days from the mapping drives to the localized one: from Thursday to Sunday, as in the paper.
 const DAYS_LATER: u32 = 3;
 
-/// Is it one of the streets made to be mistaken?
+/// Whether a site kind is one of the scenes.
 pub fn is_scene(site_kind: &str) -> bool {
     Scene::ALL.iter().any(|scene| scene.name() == site_kind)
 }
 
-/// A town of a seed, driven through by `contributors` on day 0 and by another vehicle days later.
+/// Drives in the town of a seed: of `contributors` on day 0, and of another vehicle days later.
 ///
-/// The other vehicle takes the first contributor's way, as the paper's did.
+/// The other vehicle takes the route of the first contributor, as the paper's did.
 ///
 /// # Errors
 /// When a parameter is out of range.
@@ -28,7 +28,7 @@ pub fn town(seed: u64, contributors: usize) -> anyhow::Result<Drives> {
     drives(&city, TOWN, seed, contributors)
 }
 
-/// A street that is made to be mistaken, in the same way.
+/// Drives in a scene, of one contributor and of another vehicle days later.
 ///
 /// # Errors
 /// When a parameter is out of range.
@@ -46,7 +46,7 @@ fn drives(city: &City, site_kind: &'static str, seed: u64, contributors: usize) 
     Ok(Drives { site_kind, name: format!("{site_kind} {seed}"), mapping, localized })
 }
 
-/// A drive on a day, counted from the first; its odometry is left without errors.
+/// A drive on a day, counted from 0. Its odometry has no errors.
 ///
 /// # Errors
 /// When a parameter is out of range.

@@ -1,4 +1,4 @@
-//! The figures for machines.
+//! The figures as JSON.
 
 use serde_json::{Value, json};
 
@@ -9,7 +9,7 @@ use super::record::EpochRecord;
 use super::simulated::is_scene;
 use echofix_harness::percentiles::Percentiles;
 
-/// Figures by experiment, condition and method; then the tables of the experiments that have towns of their own.
+/// Figures by experiment, condition and method; then the tables of the experiments with their own towns.
 pub fn of(
     rows: &[EpochRecord],
     experiments: &[Experiment],

@@ -11,10 +11,10 @@ use super::record::EpochRecord;
 use super::statistics::bootstrap::Estimate;
 use super::statistics::calibration::{CHI2_95_2, CHI2_95_3, calibration};
 
-/// The alert limit the paper speaks of, metres.
+/// The paper's alert limit, metres.
 pub const ALERT_M: f64 = 0.5;
 
-/// A table with a first column of names.
+/// A table with the groups' names in its first column. Groups without a line are left out.
 fn table(
     groups: &Groups<'_>,
     columns: &[&str],
@@ -59,7 +59,7 @@ pub fn errors(groups: &Groups<'_>) -> String {
     })
 }
 
-/// Errors and usability of each group, in a line.
+/// Errors and usability of each group, for the variations of one quantity.
 pub fn sweep(groups: &Groups<'_>) -> String {
     let columns = [
         "horizontal, cm",
@@ -87,7 +87,7 @@ pub fn sweep(groups: &Groups<'_>) -> String {
     })
 }
 
-/// Errors of the trajectory's offset (the paper's, with drift) beside those of the newest pose.
+/// Errors of the trajectory's offset, as the paper measures them, beside those of the newest pose.
 pub fn drifted(groups: &Groups<'_>) -> String {
     let columns = [
         "offset, cm",
@@ -115,7 +115,7 @@ pub fn drifted(groups: &Groups<'_>) -> String {
     })
 }
 
-/// What the methods say of themselves, beside what is true.
+/// Verdicts and protection levels of each group, beside the errors.
 pub fn integrity(groups: &Groups<'_>) -> String {
     let columns = [
         "usable",
@@ -143,7 +143,7 @@ pub fn integrity(groups: &Groups<'_>) -> String {
     })
 }
 
-/// Normalised errors of the methods that give a covariance, usable fixes only.
+/// Normalised errors of the groups with a covariance; usable fixes only.
 pub fn covariance(groups: &Groups<'_>) -> String {
     let columns = [
         "NEES of the position / 2",
@@ -167,7 +167,7 @@ pub fn covariance(groups: &Groups<'_>) -> String {
     })
 }
 
-/// What becomes of answers where positions are easily mistaken.
+/// Wrong and usable answers where many positions look alike.
 pub fn ambiguity(groups: &Groups<'_>) -> String {
     let columns = [
         "fixes",
@@ -188,7 +188,7 @@ pub fn ambiguity(groups: &Groups<'_>) -> String {
     })
 }
 
-/// Cells of the batches, and milliseconds of a fix.
+/// Number of the batches' cells, and milliseconds of a fix.
 pub fn costs(groups: &Groups<'_>) -> String {
     table(groups, &["cells of a batch", "ms a fix"], |rows| {
         Some(vec![short(rows, |row| Some(row.cells as f64), 1.0, 0), short(rows, |row| Some(row.ms), 1.0, 0)])

@@ -1,4 +1,4 @@
-//! A world: maps of one day, a drive on another, and the truth.
+//! A world: maps of one day, a drive of another day, and its truth.
 
 use std::collections::BTreeMap;
 
@@ -13,43 +13,43 @@ use super::crowd::uploads::{self, SentForm};
 use super::floor::Floor;
 use super::map::{MapKey, Movers, RadarMap, on_grid};
 
-/// Maps of one day and a drive on another.
+/// Maps of one day, and a drive of another day to localize on them.
 pub struct EvaluationWorld {
-    /// Its number.
+    /// Its number in the run.
     pub index: usize,
-    /// What kind of site it is.
+    /// The kind of site: a town, one of the scenes, or a drive log.
     pub site_kind: &'static str,
-    /// Its name, with the seed or the log's.
+    /// Its name, which contains the seed or the log's path.
     pub name: String,
     /// The drive that is localized.
     pub drive: Drive,
-    /// What organises its batches.
+    /// The odometry that organises its batches.
     pub odometry: Trajectory,
-    /// Where it really was: map metres, radians from grid east.
+    /// Its true poses: map metres, radians from grid east.
     pub truth: Trajectory,
-    /// Where its own positioning believed it was, as the paper's errors are measured; may be empty.
+    /// The poses of its own positioning, against which the paper measures errors; may be empty.
     pub reference: Trajectory,
     /// Map metres a ground metre.
     pub scale: f64,
-    /// How far off the maps' own poses were.
+    /// The maps' own error.
     pub floor: Floor,
     maps: BTreeMap<(usize, Movers), RadarMap>,
 }
 
 /// Drives before they become a world.
 pub struct Drives {
-    /// What kind of site they are in.
+    /// The kind of site: a town, one of the scenes, or a drive log.
     pub site_kind: &'static str,
-    /// Its name.
+    /// The world's name.
     pub name: String,
-    /// Those that map, by the order in which they join the map.
+    /// The drives that the maps are made of, in this order.
     pub mapping: Vec<Drive>,
-    /// The one that is localized.
+    /// The drive that is localized.
     pub localized: Drive,
 }
 
 impl EvaluationWorld {
-    /// Maps the first so many drives for each of `crowds`, and lays out the truth of the other.
+    /// The world with a map of the first so many drives for each of `crowds`.
     ///
     /// # Errors
     /// When there is no truth, or a drive cannot be mapped from.
@@ -67,7 +67,7 @@ impl EvaluationWorld {
         Self::with_maps(index, (site_kind, name), localized, floor, both.into_iter().flatten())
     }
 
-    /// A drive on maps that are there.
+    /// The world of a drive and existing maps.
     ///
     /// # Errors
     /// When there is no truth, or it is off the grid.
@@ -98,7 +98,7 @@ impl EvaluationWorld {
     /// The map of the first so many contributors.
     ///
     /// # Errors
-    /// When it was not asked for.
+    /// When the world was made without this map.
     pub fn map(&self, contributors: usize, movers: Movers) -> anyhow::Result<&RadarMap> {
         self.maps
             .get(&(contributors, movers))
@@ -106,7 +106,7 @@ impl EvaluationWorld {
     }
 }
 
-/// The poses that answers are compared with, and the first of them.
+/// The first of the poses that answers are compared with, and all of them.
 fn known(drive: &Drive) -> anyhow::Result<(&GeoPose, &[GeoPose])> {
     let poses = if drive.truth.is_empty() { &drive.reference } else { &drive.truth };
     let first =
@@ -122,8 +122,8 @@ pub fn grid_of(drive: &Drive) -> anyhow::Result<Grid> {
     Ok(Grid::of(known(drive)?.0.at)?)
 }
 
-/// The map after each of `crowds` contributors: without movers, more than one are vetted and moved onto each
-/// other, as the service does.
+/// The map of each of `crowds` contributors. Without movers, the uploads of several contributors are vetted and moved onto the
+/// map, as the service does.
 fn grown(
     mut map: RadarMap,
     drives: &[Drive],

@@ -1,4 +1,4 @@
-//! Which worlds are evaluated: simulated towns and streets, or drive logs.
+//! The worlds of a run: simulated towns and scenes, or drive logs.
 
 use std::path::PathBuf;
 
@@ -11,30 +11,29 @@ use super::{logged, simulated};
 /// A simulated world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Simulated {
-    /// A town of a seed.
+    /// The town of a seed.
     Town(u64),
-    /// A street of a seed.
+    /// A scene of a seed.
     Street(Scene, u64),
 }
 
-/// Which worlds are evaluated, one after the other: each needs its memory.
+/// The worlds of a run. They are made one after the other, because each needs much memory.
 pub enum Worlds {
-    /// Simulated ones.
+    /// Simulated worlds.
     Simulated(Vec<Simulated>),
-    /// A drive log on the map of others.
+    /// A drive log, localized on the map of others.
     Logs {
-        /// Localized.
+        /// The log that is localized.
         drive: PathBuf,
-        /// Mapped.
+        /// The logs that the map is made of.
         map: Vec<PathBuf>,
-        /// Are batches organised by the known poses?
+        /// Whether batches are organised by the known poses.
         known: bool,
     },
 }
 
 impl Worlds {
-    /// Towns of some seeds, then each kind of street for the first two seeds of others (the first
-    /// one when `quick`).
+    /// The towns of some seeds, then all scenes of the first two seeds of others (of the first one when `quick`).
     pub fn simulated(towns: &[u64], streets: &[u64], quick: bool) -> Self {
         let streets = &streets[..streets.len().min(if quick { 1 } else { 2 })];
         let of_seed = |seed: &u64| Scene::ALL.map(|scene| Simulated::Street(scene, *seed));
@@ -42,7 +41,7 @@ impl Worlds {
         Self::Simulated(towns.chain(streets.iter().flat_map(of_seed)).collect())
     }
 
-    /// How many.
+    /// Number of worlds.
     pub fn count(&self) -> usize {
         match self {
             Self::Simulated(all) => all.len(),
@@ -50,7 +49,7 @@ impl Worlds {
         }
     }
 
-    /// The conditions asked in one of them: in streets the headline's only.
+    /// The conditions that are evaluated in a world: in scenes only those of the headline.
     pub fn conditions(&self, index: usize, all: &[Condition], base: Condition) -> Vec<Condition> {
         match self {
             Self::Simulated(worlds) if matches!(worlds[index], Simulated::Street(..)) => vec![base],
@@ -58,7 +57,7 @@ impl Worlds {
         }
     }
 
-    /// Makes one of them, with the maps its conditions need.
+    /// Makes a world, with the maps that its conditions need.
     ///
     /// # Errors
     /// When a log cannot be read, or a drive cannot be mapped from.
@@ -80,7 +79,7 @@ impl Worlds {
         EvaluationWorld::new(index, drives, &crowds, max_sigma_m)
     }
 
-    /// In words.
+    /// The worlds in words, for the report.
     pub fn words(&self) -> String {
         let Self::Simulated(all) = self else {
             return "Recorded drives.".to_owned();

@@ -1,4 +1,4 @@
-//! What bad contributors send.
+//! The attacks of bad contributors, and the uploads they send.
 
 use std::collections::BTreeMap;
 
@@ -11,32 +11,32 @@ use echofix_sim::City;
 
 use super::uploads::{SentForm, VehicleUpload, cut, cut_wrong};
 
-/// Length of the wall that is made up, metres.
+/// Length of the made-up wall, metres.
 pub const WALL_M: f64 = 20.0;
-/// Detections in each of its cells and uploads.
+/// Hits that an upload adds in each of its cells.
 const WALL_HITS: u32 = 4;
-/// How often an upload is sent again.
+/// How many times an upload is sent again.
 const REPLAYS: usize = 4;
 
-/// What bad contributors do.
+/// An attack of bad contributors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Attack {
-    /// Nothing.
+    /// No attack.
     None,
-    /// They make up a wall across a street, all the same one.
+    /// They all make up the same wall across a street.
     Wall,
-    /// They had everything in view and hit next to nothing.
+    /// They claim to have had everything in view, and to have hit hardly anything.
     Erase,
-    /// All their poses are off to the east, metres.
+    /// All their poses are shifted to the east, metres.
     Shift(f64),
-    /// Their front radar is mounted so many radians to the left of where it says.
+    /// Their front radar is turned to the left of its stated mount, radians.
     Mount(f64),
-    /// They send each upload again and again.
+    /// They send each upload several times.
     Replay,
 }
 
 impl Attack {
-    /// In a few words.
+    /// The attack in a few words.
     pub fn words(self) -> String {
         match self {
             Self::None => "honest".to_owned(),
@@ -48,7 +48,7 @@ impl Attack {
         }
     }
 
-    /// What a bad contributor makes of a drive, of which `honest` is what a good one would send.
+    /// The uploads that a bad contributor makes of a drive. `honest` are those that a good one would send.
     ///
     /// # Errors
     /// When scans and poses do not fit together.
@@ -92,7 +92,7 @@ impl Attack {
     }
 }
 
-/// Cells of the wall that is made up, across the middle of the town's first street.
+/// The hits of the made-up wall, across the middle of the town's first street.
 pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
     let (street, site) = (&city.network().streets()[0], city.site());
     let middle = [0, 1].map(|axis| 0.5 * (street.a[axis] + street.b[axis]));
@@ -111,7 +111,7 @@ pub fn wall(city: &City) -> BTreeMap<TileId, Vec<CellHits>> {
     cells.into_iter().map(|(id, cells)| (id, cells.into_values().collect())).collect()
 }
 
-/// Adds hits to an upload, in the tiles it tells of anyway.
+/// Adds hits to an upload, in the tiles that it has evidence for.
 fn add(upload: &mut VehicleUpload, hits: &BTreeMap<TileId, Vec<CellHits>>) {
     for (id, more) in hits {
         let Some(evidence) = upload.contribution.tiles.get_mut(id) else { continue };

@@ -1,4 +1,4 @@
-//! What bad contributors reach among twenty.
+//! The experiment `attacks`: what bad contributors can do to the map of twenty contributors.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,10 +22,10 @@ use crate::evaluate::record::EpochRecord;
 
 /// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
-/// Days that a bad contributor drives on, where a good one drives on one.
+/// Number of days on which a bad contributor drives; a good one drives on one day.
 const BAD_DAYS: u32 = 3;
 
-/// What is tried: by how many contributors.
+/// The attacks, with their numbers of bad contributors.
 const TRIED: [(Attack, usize); 11] = [
     (Attack::None, 3),
     (Attack::Wall, 1),
@@ -40,39 +40,39 @@ const TRIED: [(Attack, usize); 11] = [
     (Attack::Replay, 1),
 ];
 
-/// A town and everybody's drives in it.
+/// A town and the drives of all contributors in it.
 struct Stage {
     city: City,
     drives: Vec<AttackTrip>,
     localized: Drive,
-    /// Where the wall is made up, and a little around it: vetting moves uploads.
+    /// Cells of the made-up wall and a little around it, because vetting moves uploads.
     wall: BTreeSet<(TileId, u32)>,
     contributors: u64,
 }
 
-/// Somebody's drive.
+/// A drive of a contributor.
 struct AttackTrip {
     who: u64,
     drive: Drive,
-    /// What he sends if he is good.
+    /// The uploads that a good contributor makes of it.
     honest: Vec<VehicleUpload>,
 }
 
-/// What has come of some drives.
+/// The map after some of the drives, and what became of their uploads.
 struct Course {
     map: CrowdMap,
-    /// Uploads of the good and of the bad ones, and how many of them were quarantined.
+    /// By good and by bad contributors: number of uploads, and how many of them were quarantined.
     uploads: [[usize; 2]; 2],
-    /// Cells about the wall that good and that bad ones hit.
+    /// Cells around the wall that were hit by good and by bad contributors.
     hit: [BTreeSet<(TileId, u32)>; 2],
 }
 
-/// What came of an attack.
+/// The result of an attack.
 #[derive(Default)]
 struct AttackOutcome {
     /// See [`Course::uploads`].
     uploads: [[usize; 2]; 2],
-    /// Served cells about the wall that only bad ones hit.
+    /// Number of served cells around the wall that only bad contributors hit.
     phantoms: usize,
     fixes: Vec<EpochRecord>,
 }
@@ -95,7 +95,7 @@ impl Stage {
         Ok(Self { wall: around(&attack::wall(&city)), city, drives, localized, contributors })
     }
 
-    /// The drives before the first bad one's: the same whatever the attack.
+    /// The map after the drives before the first bad contributor's. It is the same for all attacks.
     fn before(&self, count: usize) -> anyhow::Result<Course> {
         let first = bad(self.contributors, count)[0];
         let map = CrowdMap::new(self.city.site().zone());
@@ -106,7 +106,7 @@ impl Stage {
         Ok(course)
     }
 
-    /// Everybody after that.
+    /// The result after all other drives, with an attack of `count` contributors.
     fn attacked(
         &self,
         attack: Attack,
@@ -152,7 +152,7 @@ impl Stage {
     }
 }
 
-/// Cells not farther than two from those of a wall, within its tiles.
+/// Cells at most two cells away from those of a wall, within its tiles.
 fn around(wall: &BTreeMap<TileId, Vec<CellHits>>) -> BTreeSet<(TileId, u32)> {
     let side = CELLS_PER_TILE as i64;
     let near = |id: TileId, index: u32| {
@@ -164,7 +164,7 @@ fn around(wall: &BTreeMap<TileId, Vec<CellHits>>) -> BTreeSet<(TileId, u32)> {
     wall.iter().flat_map(|(id, cells)| cells.iter().flat_map(move |cell| near(*id, cell.index))).collect()
 }
 
-/// Who is bad: spread among the others, none of them the first.
+/// The numbers of the bad contributors. They are spread among the others, and none of them is the first.
 fn bad(contributors: u64, count: usize) -> Vec<u64> {
     let count = count as u64;
     (1..=count).map(|k| k * contributors / (count + 1)).collect()
@@ -180,7 +180,7 @@ impl AttackOutcome {
     }
 }
 
-/// The experiment.
+/// Runs the experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.

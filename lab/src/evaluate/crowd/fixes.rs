@@ -1,4 +1,4 @@
-//! Fixes of a drive on a map.
+//! Localizes a drive on a map of the crowd.
 
 use std::sync::Arc;
 
@@ -15,10 +15,10 @@ use crate::evaluate::run::{EvaluationPlan, run};
 use crate::evaluate::world::{EvaluationWorld, grid_of};
 use echofix_harness::percentiles::Percentiles;
 
-/// Prepared windows of one map, mebibytes.
+/// Memory for the prepared windows of one map, mebibytes.
 const WINDOWS_MIB: u64 = 256;
 
-/// Localizes a drive on a map, `most` times, evenly spread: always at the same times, from the same priors.
+/// Localizes a drive on a map at `most` epochs, evenly spread. Each call has the same epochs and priors.
 ///
 /// # Errors
 /// When the drive has no known poses.
@@ -45,28 +45,28 @@ pub fn fixes(
         variants: Vec::new(),
         forecasts: false,
     };
-    // Windows are known by the map's key, which other maps share: none is cached for the next one.
+    // The cache identifies maps by their key, which is the same for all maps of the crowd: each map needs a new cache.
     let windows: Arc<Windows> = Windows::new(WINDOWS_MIB);
     run(&world, &[base], &plan, &windows, &ProgressBar::hidden())
 }
 
-/// What fixes amount to.
+/// A summary of many fixes.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Summary {
-    /// How many.
+    /// Number of fixes.
     pub fixes: usize,
-    /// 95 % of the horizontal errors are not above this, metres.
+    /// The 95 % percentile of the horizontal errors, metres.
     pub p95_m: f64,
-    /// Fraction that is wrong by more than a metre.
+    /// Fraction of the fixes that is wrong by more than a metre.
     pub wrong: f64,
-    /// Fraction that may be used.
+    /// Fraction of the fixes that is usable.
     pub usable: f64,
-    /// Of these, the fraction that is wrong.
+    /// Fraction of the usable fixes that is wrong by more than a metre.
     pub wrong_usable: f64,
 }
 
 impl Summary {
-    /// Of some fixes.
+    /// The summary of some fixes.
     pub fn of(rows: &[EpochRecord]) -> Self {
         let fraction = |hits: usize, of: usize| hits as f64 / of.max(1) as f64;
         let usable = rows.iter().filter(|row| row.usable);
@@ -81,7 +81,7 @@ impl Summary {
         }
     }
 
-    /// As a part of a table's line: 95 % error, wrong, usable, wrong of the usable.
+    /// Cells of a table's line: 95 % error, wrong, usable, wrong of the usable.
     pub fn cells(&self) -> String {
         let Self { p95_m, wrong, usable, wrong_usable, .. } = self;
         let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);

@@ -1,4 +1,4 @@
-//! A map made the service's way: uploads are compared with it, moved onto it and folded, or kept out.
+//! A map that is made as the service makes it: uploads are vetted, moved onto the map and folded, or quarantined.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,7 +15,7 @@ use echofix_core::vetting::{
 use super::uploads::VehicleUpload;
 use crate::evaluate::map::{MapKey, RadarMap};
 
-/// A map in one zone that grows by uploads.
+/// A map in one zone, made of uploads.
 pub struct CrowdMap {
     zone: Zone,
     folded: FoldedMap,
@@ -23,7 +23,7 @@ pub struct CrowdMap {
     limits: VettingLimits,
 }
 
-/// What has been folded.
+/// The folded tiles with their ledgers, and the tiles that are prepared for vetting.
 #[derive(Default)]
 struct FoldedMap {
     tiles: BTreeMap<TileId, Tile>,
@@ -32,7 +32,7 @@ struct FoldedMap {
 }
 
 impl CrowdMap {
-    /// An empty one.
+    /// An empty map.
     pub fn new(zone: Zone) -> Self {
         Self {
             zone,
@@ -42,7 +42,7 @@ impl CrowdMap {
         }
     }
 
-    /// A copy that grows on its own.
+    /// An independent copy.
     #[must_use]
     pub fn fork(&self) -> Self {
         let FoldedMap { tiles, ledgers, .. } = &self.folded;
@@ -50,12 +50,12 @@ impl CrowdMap {
         Self { zone: self.zone, folded, vetter: Vetter::default(), limits: self.limits }
     }
 
-    /// The zone of its grid.
+    /// The UTM zone of the map.
     pub fn zone(&self) -> Zone {
         self.zone
     }
 
-    /// What vetting says of an upload, which is not folded.
+    /// Vets an upload, without folding it.
     pub fn vet(&mut self, upload: &VehicleUpload) -> Vetted {
         let cells: Vec<_> =
             upload.contribution.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
@@ -63,7 +63,7 @@ impl CrowdMap {
         self.vetter.vet(&cells, &others, &self.limits)
     }
 
-    /// Vets an upload and folds it: what was folded, `None` when it is quarantined.
+    /// Vets an upload and folds it. Returns the evidence as it was folded, or `None` when the upload is quarantined.
     pub fn offer(&mut self, upload: &VehicleUpload) -> Option<Vec<(TileId, TileEvidence)>> {
         match self.vet(upload) {
             Vetted::Agrees(offsets) | Vetted::New(offsets) => Some(self.folded.fold(upload, &offsets)),
@@ -71,12 +71,13 @@ impl CrowdMap {
         }
     }
 
-    /// Everything in it, whoever contributed it.
+    /// The map with all its evidence, published or not.
     pub fn whole(&self, key: MapKey) -> RadarMap {
         RadarMap::of_tiles(key, self.zone, self.folded.tiles.clone())
     }
 
-    /// Its tiles as they are served: what so many contributors support, decayed to a day counted from the Unix epoch.
+    /// The tiles that are served: cells with the support of `least` contributors, decayed to `today`, a day counted from the
+    /// Unix epoch.
     pub fn published(&self, least: u8, today: Option<u16>) -> BTreeMap<TileId, Tile> {
         let decay = Decay::default();
         let served = |(id, tile): (&TileId, &Tile)| (*id, tile.published(least, today, &decay));
@@ -101,7 +102,7 @@ impl FoldedMap {
     }
 }
 
-/// The map without what only the upload's own contributor contributed.
+/// The map without the tiles to which only the upload's own contributor has contributed.
 struct OthersEvidence<'a> {
     folded: &'a FoldedMap,
     contributor: u64,

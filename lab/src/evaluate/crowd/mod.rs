@@ -1,9 +1,10 @@
-//! What a crowd makes of a map: experiments with towns, vehicles and uploads of their own.
+//! The crowd's map: experiments with their own towns, vehicles and uploads.
 //!
-//! - [`town`]: a small town, driven through on many days; [`uploads`]: a drive, cut as a vehicle sends it.
-//! - [`map`]: a map made the service's way; [`fixes`]: what it is worth.
-//! - [`year`]: how maps age; [`attack`], [`attacks`]: what bad contributors reach.
-//! - [`vetting`]: which uploads are kept out; [`size`]: bytes of an upload against accuracy.
+//! - [`town`]: drives in a small town on many days; [`uploads`]: the uploads of a drive.
+//! - [`map`]: a map that is made as the service makes it; [`fixes`]: localizes a drive on it.
+//! - [`year`]: how maps age; [`attack`], [`attacks`]: what bad contributors can do.
+//! - [`vetting`]: which uploads vetting keeps out; [`support`]: how many contributors must agree for a cell to be served.
+//! - [`size`]: the size of uploads against the accuracy of the map.
 
 pub mod attack;
 pub mod attacks;
@@ -24,30 +25,30 @@ use serde_json::Value;
 use super::condition::Experiment;
 use super::section::Section;
 
-/// How much is simulated.
+/// How much an experiment simulates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scale {
-    /// Seeds of towns; as many as the experiment takes.
+    /// Seeds of towns. An experiment takes the first of them, as many as it needs.
     pub towns: Vec<u64>,
-    /// Is a first impression enough?
+    /// Whether to simulate little, which shows only whether the experiment works.
     pub quick: bool,
 }
 
 impl Scale {
-    /// The first so many towns, fewer when quick.
+    /// The seeds of at most `most` towns; of one town when quick.
     fn towns(&self, most: usize) -> &[u64] {
         let most = if self.quick { 1 } else { most };
         &self.towns[..self.towns.len().min(most)]
     }
 }
 
-/// Where the figures come from.
+/// The towns in words, for the report.
 fn towns_in_words(towns: &[u64]) -> String {
     let seeds: Vec<_> = towns.iter().map(u64::to_string).collect();
     format!("Simulated towns of four blocks of the seeds {}.", seeds.join(", "))
 }
 
-/// A table: its first line, then a line for each of `rows`, whose cells are separated already.
+/// A table with these columns and rows. The cells of a row are already separated by bars.
 fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -> String {
     let heads = columns.iter().map(AsRef::as_ref).collect::<Vec<_>>().join(" | ");
     let mut table = format!("| {} |\n|{}\n", heads, "---|".repeat(heads.matches(" | ").count() + 1));
@@ -57,11 +58,11 @@ fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -
     table
 }
 
-/// A part of the report, and the lines of its table for machines.
+/// The result of an experiment: a section of the report, and the lines of its table as JSON.
 pub struct CrowdSection {
-    /// For people.
+    /// The section of the report.
     pub section: Section,
-    /// For machines.
+    /// The lines of its table, as JSON.
     pub lines: Value,
 }
 
@@ -70,7 +71,7 @@ impl CrowdSection {
         Ok(Self { section, lines: serde_json::to_value(lines)? })
     }
 
-    /// Words and a table, of towns.
+    /// The result of an experiment whose section is a text and a table.
     fn of_table<T: Serialize>(
         experiment: Experiment,
         words: &str,
@@ -83,7 +84,7 @@ impl CrowdSection {
     }
 }
 
-/// What comes of one of [`Experiment::OF_THE_CROWD`]; `None` for the others.
+/// Runs one of [`Experiment::OF_THE_CROWD`]; `None` for all other experiments.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.

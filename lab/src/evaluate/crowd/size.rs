@@ -1,4 +1,4 @@
-//! Bytes of an upload against the accuracy of the map it makes.
+//! The experiment `upload`: the size of uploads against the accuracy of the map.
 
 use std::collections::BTreeMap;
 
@@ -20,19 +20,19 @@ use crate::evaluate::record::EpochRecord;
 use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 
 const SIDE: u32 = CELLS_PER_TILE as u32;
-/// Bytes of a detection, sent as it is: range and azimuth.
+/// Bytes of a raw detection: range and azimuth.
 const DETECTION_BYTES: u64 = 8;
-/// Contributors of each map: as many as must have hit something near a cell for it to be served.
+/// Number of contributors to each map. A cell is served with the support of all of them.
 const CONTRIBUTORS: u64 = 3;
 
-/// What of a cell is sent.
+/// What an upload contains of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Form {
-    /// The scans, of which the map keeps all it can.
+    /// The scans themselves, of which the map stores as much as it can.
     Scans,
-    /// The sum of the hits' positions, each to so many steps of a cell.
+    /// The sum of the hits' positions, in so many steps of a cell.
     Steps(u32),
-    /// Cells of 20 cm, and nothing of the positions in them.
+    /// Cells of 20 cm, without positions in them.
     Wide,
 }
 
@@ -65,7 +65,7 @@ impl Form {
         }
     }
 
-    /// Bytes of an upload.
+    /// Size of an upload, bytes.
     fn bytes(self, contribution: &EvidenceDelta) -> u64 {
         let halved = |evidence: &TileEvidence| {
             let cells = widened(&evidence.cells, |x, y| y / 2 * (SIDE / 2) + x / 2);
@@ -81,7 +81,7 @@ impl Form {
         }
     }
 
-    /// The upload as the map gets it.
+    /// The upload as the map reads it.
     fn read(self, upload: &VehicleUpload) -> VehicleUpload {
         let mut upload = upload.clone();
         if self == Self::Wide {
@@ -98,7 +98,7 @@ impl Form {
     }
 }
 
-/// Cells of twice the width, by the index that `index` makes of column and row.
+/// Cells of twice the width. `index` gives their index for the column and row of a cell.
 fn widened(cells: &[CellHits], index: impl Fn(u32, u32) -> u32) -> Vec<CellHits> {
     let mut wide: BTreeMap<u32, u32> = BTreeMap::new();
     for cell in cells {
@@ -108,13 +108,13 @@ fn widened(cells: &[CellHits], index: impl Fn(u32, u32) -> u32) -> Vec<CellHits>
     wide.into_iter().map(|(index, hits)| CellHits { index, hits, offset_sum: middle(hits) }).collect()
 }
 
-/// Bytes of all uploads of a form, and the fixes on the map that they make.
+/// Size of all uploads of a form, and the fixes on the map that is made of them.
 struct Worth {
     bytes: u64,
     fixes: Vec<EpochRecord>,
 }
 
-/// Every form's worth in one town, and the kilometres that its contributors drove.
+/// Sizes and fixes of every form in one town, and the kilometres that its contributors drove.
 fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
     let city = town::small(seed)?;
     let mapping = |who: u64| town::drive(&city, who as u32, Way::Survey, who);
@@ -134,7 +134,7 @@ fn town(seed: u64, most: usize) -> anyhow::Result<(Vec<Worth>, f64)> {
     Ok((worths, mapping.iter().map(|drive| drive.odometry.travelled_m()).sum::<f64>() / 1e3))
 }
 
-/// The map that is served of some uploads.
+/// The map that is served with these uploads.
 fn served(form: Form, uploads: &[VehicleUpload], zone: Zone) -> RadarMap {
     let mut map = CrowdMap::new(zone);
     for upload in uploads {
@@ -161,10 +161,10 @@ impl SizeLine {
     fn of(which: usize, all: &[(Vec<Worth>, f64)]) -> Self {
         let way_km: f64 = all.iter().map(|(_, km)| km).sum();
         let bytes: u64 = all.iter().map(|(worths, _)| worths[which].bytes).sum();
-        // The same questions are asked of every map, in the same order.
+        // All maps get the same requests in the same order.
         let pairs = all.iter().enumerate().flat_map(|(town, (worths, _))| {
             let rows = worths[which].fixes.iter().zip(&worths[0].fixes);
-            // An answer from another candidate says nothing of how sharp a map is, and drowns what does.
+            // A wrong answer says nothing about the map's accuracy, and is much larger than the errors that do.
             let right = rows.filter(|(ours, finest)| !ours.wrong() && !finest.wrong());
             right.map(move |(ours, finest)| ((ours.error_m(), finest.error_m()), (town, ours.block)))
         });
@@ -196,7 +196,7 @@ draws both together. Every form is compressed and contains what was in view, as 
 20 cm, so that the position of a hit within a cell of 10 cm hardly matters.
 ";
 
-/// The experiment.
+/// Runs the experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.

@@ -1,4 +1,4 @@
-//! How near each other contributors must have hit something for it to be served.
+//! The experiment `support`: how near each other must contributors have hit something for a cell to be served?
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -22,31 +22,31 @@ use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::MethodName;
 use crate::evaluate::record::EpochRecord;
 
-/// Contributors of the maps; a bit each in a mask.
+/// Numbers of contributors to the maps. Each contributor is a bit of a mask.
 const CROWDS: [u32; 4] = [3, 5, 10, 20];
-/// Contributors that must have hit something near a cell.
+/// Number of contributors that must have hit something near a cell.
 const LEAST: u32 = 3;
-/// Of them, those that must have hit a cell itself where that is asked for.
+/// Number of them that must have hit the cell itself, under [`Rule::Own`].
 const OWN: u32 = 2;
-/// Cells that one contributor makes up, tried in each town.
+/// Number of made-up cells in each town.
 const MADE_UP: usize = 4000;
-/// They lie in the lanes, not farther than this beside where somebody drove, metres.
+/// Largest distance of made-up cells from the middle of the vehicle's path, metres: they lie in the lanes.
 const LANES_M: f64 = 3.0;
-/// What lies nearer to anything that stands in the town may be a return of it, metres.
+/// Least distance of made-up cells from anything that stands in the town, metres: nearer hits may be returns of it.
 const GENUINE_M: f64 = 0.5;
 
-/// When a cell is served.
+/// A rule by which a cell is served.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Rule {
-    /// Always.
+    /// Every cell is served.
     Any,
-    /// Three hit something in the same block of so many cells.
+    /// Three contributors hit something in the same block of so many cells along each axis.
     Block(i64),
-    /// The same, and two of them the cell itself.
+    /// As [`Rule::Block`], and two of them hit the cell itself.
     Own(i64),
-    /// Three hit something in cells not farther off than this along each axis.
+    /// Three contributors hit something in cells at most so many cells away along each axis.
     Within(i64),
-    /// The same, and not three, but so many in a hundred of those that drove there.
+    /// As [`Rule::Within`], with so many per cent of all contributors instead of three.
     Fraction(i64, u32),
 }
 
@@ -76,7 +76,7 @@ impl Rule {
         }
     }
 
-    /// Contributors that must have hit something, of so many.
+    /// How many of so many contributors must have hit something near a cell.
     fn least(self, contributors: u32) -> u32 {
         match self {
             Self::Any => 0,
@@ -85,7 +85,7 @@ impl Rule {
         }
     }
 
-    /// First and last column, first and last row of the cells whose hits count for one.
+    /// First and last column, first and last row of the cells whose hits count for a cell.
     fn around(self, CellIndex { x, y }: CellIndex) -> [i64; 4] {
         match self {
             Self::Any => [x, x, y, y],
@@ -98,7 +98,7 @@ impl Rule {
     }
 }
 
-/// Who hit which cell: a bit for each contributor.
+/// The contributors that hit each cell, a bit for each.
 #[derive(Default)]
 struct Hits(HashMap<(i64, i64), u32>);
 
@@ -107,13 +107,13 @@ impl Hits {
         *self.0.entry((at.x, at.y)).or_default() |= 1 << who;
     }
 
-    /// Is a cell served, if so many more hit it?
+    /// Whether a cell is served if so many more contributors hit it.
     fn serves(&self, rule: Rule, least: u32, at: CellIndex, more: u32) -> bool {
         let own = || self.0.get(&(at.x, at.y)).map_or(0, |who| who.count_ones());
         self.count(rule, at) + more >= least && (!matches!(rule, Rule::Own(_)) || own() + more >= OWN)
     }
 
-    /// Contributors whose hits count for a cell.
+    /// Number of contributors whose hits count for a cell.
     fn count(&self, rule: Rule, at: CellIndex) -> u32 {
         let [x0, x1, y0, y1] = rule.around(at);
         let cells = (y0..=y1).flat_map(|y| (x0..=x1).map(move |x| (x, y)));
@@ -121,13 +121,13 @@ impl Hits {
     }
 }
 
-/// A town that somebody drives through who is not of the crowd.
+/// A town, and the drive of a vehicle that does not contribute to its map.
 struct SupportVisit {
     city: City,
     drive: Drive,
-    /// Fixes asked for, at most.
+    /// Largest number of fixes.
     most: usize,
-    /// Cells in the lanes where nothing stands.
+    /// Made-up cells, in the lanes where nothing stands.
     made_up: Vec<CellIndex>,
 }
 
@@ -169,7 +169,7 @@ impl SupportVisit {
             outcome.served[1] += tile.len();
             served.extend(Tile::from_cells(served_cells).map(|tile| (*id, tile)));
         }
-        // Who makes them up is one contributor more.
+        // The contributor who makes them up is one more.
         let least = rule.least(contributors + 1);
         outcome.made_up[0] = self.made_up.iter().filter(|at| hits.serves(rule, least, **at, 1)).count();
         let key = MapKey { world: 0, contributors: contributors as usize, movers: Movers::Excluded };
@@ -179,17 +179,17 @@ impl SupportVisit {
     }
 }
 
-/// What comes of a rule.
+/// The result of a rule.
 #[derive(Default)]
 struct SupportOutcome {
-    /// Cells that are served, of all.
+    /// Number of cells that are served, and of all cells.
     served: [usize; 2],
-    /// Made-up cells that are served, of all.
+    /// Number of made-up cells that are served, and of all made-up cells.
     made_up: [usize; 2],
     fixes: Vec<EpochRecord>,
 }
 
-/// What comes of each rule, crowd by crowd.
+/// The results of all rules in a town, by the number of contributors.
 fn town(seed: u64, most: usize) -> anyhow::Result<Vec<Vec<SupportOutcome>>> {
     let visit = SupportVisit::new(seed, most)?;
     let zone = visit.city.site().zone();
@@ -219,7 +219,7 @@ struct SupportLine {
     rule: String,
     /// Fraction of the cells that are served.
     served: f64,
-    /// Fraction of the made-up ones.
+    /// Fraction of the made-up cells that are served.
     made_up: f64,
     #[serde(flatten)]
     summary: Summary,
@@ -270,7 +270,7 @@ const COLUMNS: [&str; 8] = [
     "wrong, of the usable",
 ];
 
-/// The experiment.
+/// Runs the experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.

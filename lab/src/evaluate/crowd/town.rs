@@ -1,4 +1,4 @@
-//! A small town, driven through on many days.
+//! Drives in a small town on many days.
 
 use echofix_core::drive::Drive;
 use echofix_core::time::DAY_US;
@@ -6,10 +6,10 @@ use echofix_sim::{City, CityParams, Route, downtown};
 
 use crate::evaluate::simulated;
 
-/// Length of an ordinary way through it, metres: a few minutes.
+/// Length of an errand's route, metres: a few minutes of driving.
 const WAY_M: f64 = 900.0;
 
-/// A town of four blocks, otherwise as hard as the others.
+/// A town of four blocks, with the parameters of the larger towns.
 ///
 /// # Errors
 /// When a parameter is out of range.
@@ -18,16 +18,16 @@ pub fn small(seed: u64) -> anyhow::Result<City> {
     Ok(City::generate(&params)?)
 }
 
-/// Which way a vehicle takes.
+/// The route of a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
-    /// Along every street.
+    /// Through every street.
     Survey,
-    /// Wherever it wants to go.
+    /// A random route.
     Errand,
 }
 
-/// A drive on a day; the number makes it unlike others.
+/// A drive on a day of the simulation. Drives with different numbers differ.
 ///
 /// # Errors
 /// When a parameter is out of range.

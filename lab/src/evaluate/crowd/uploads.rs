@@ -1,4 +1,4 @@
-//! A drive cut into uploads, as a vehicle sends them.
+//! The uploads of a drive, as a vehicle cuts and sends them.
 
 use echofix_client::upload::RecorderConfig;
 use echofix_core::drive::segment::usable_segments;
@@ -12,34 +12,34 @@ use echofix_core::time::DAY_US;
 
 use crate::evaluate::map::{Movers, gated, mapped_from, on_grid};
 
-/// What reaches the service at once.
+/// One upload, as it reaches the service.
 #[derive(Debug, Clone)]
 pub struct VehicleUpload {
-    /// Whose it is, and of which day.
+    /// Its contributor and its day.
     pub pass: Pass,
     /// Its evidence delta.
     pub contribution: EvidenceDelta,
 }
 
-/// What a vehicle sends of its drives.
+/// How a vehicle makes uploads of its drives.
 #[derive(Debug, Clone, Copy)]
 pub struct SentForm {
-    /// Its number.
+    /// Number of the contributor.
     pub contributor: u64,
-    /// Reference poses of a larger sigma are not mapped from, metres.
+    /// Largest standard deviation of a reference pose, metres. Less certain poses add nothing to an upload.
     pub max_sigma_m: f64,
-    /// Steps of a cell to which the positions of hits are sent.
+    /// Steps of a cell in which the positions of hits are sent.
     pub steps: u32,
 }
 
 impl SentForm {
-    /// As the service asks for it.
+    /// The uploads that vehicles send to the service.
     pub fn of(contributor: u64) -> Self {
         Self { contributor, max_sigma_m: 0.3, steps: SENT_STEPS }
     }
 }
 
-/// A drive's uploads in order, without movers, from the reference poses.
+/// The uploads of a drive from its reference poses, in order and without movers.
 ///
 /// # Errors
 /// When its scans and poses do not fit together.
@@ -47,7 +47,8 @@ pub fn cut(drive: &Drive, zone: Zone, sending: SentForm) -> anyhow::Result<Vec<V
     cut_wrong(drive, zone, sending, |_, _, pose| pose)
 }
 
-/// The same from poses that are made wrong: `wrong` gets an upload's number, the pose in its middle, and a pose.
+/// The uploads of a drive from wrong poses. `wrong` makes a pose wrong, from the upload's number, the pose in its middle and the
+/// pose itself.
 ///
 /// # Errors
 /// When its scans and poses do not fit together.
@@ -72,7 +73,7 @@ pub fn cut_wrong(
     Ok(uploads)
 }
 
-/// Poses up to each cut; neighbours share the pose at it.
+/// The poses of each upload. The pose at a cut belongs to both uploads.
 fn parts<'a>(
     grid: &Grid,
     poses: &'a [GeoPose],
@@ -94,7 +95,7 @@ fn parts<'a>(
     Ok(parts)
 }
 
-/// The upload of some poses; none where the vehicle stood and nothing counts.
+/// The upload of some poses; `None` where it would have no detections, for example because the vehicle stood.
 fn upload(
     grid: &Grid,
     drive: &Drive,
@@ -105,7 +106,7 @@ fn upload(
     let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
     let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
     let scale = grid.scale_factor(poses[0].at)?;
-    // Movers are gone already, and odometry tells them better than absolute poses would.
+    // Movers are dropped already: odometry shows them better than absolute poses would.
     let gate = Movers::Included.gate();
     let mut gathering = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
@@ -121,7 +122,7 @@ mod tests {
     use super::*;
     use echofix_core::geo::LatLon;
 
-    /// Catches: a cut that loses the poses at its edge, or one by time alone.
+    /// Catches: a cut that loses the poses at its edge, and one by time alone.
     #[test]
     fn parts_follow_each_other_and_are_short_in_time_and_way() {
         let grid = Grid::of(LatLon { lat_deg: 30.0, lon_deg: -97.0 }).unwrap();
@@ -135,7 +136,7 @@ mod tests {
         let parts = parts(&grid, &poses, &RecorderConfig::default()).unwrap();
         let lengths: Vec<_> = parts.iter().map(|part| part.len()).collect();
         assert_eq!(lengths, [101, 101, 52, 52, 52, 48]);
-        // Each shares its first pose with the one before.
+        // The first pose of each is the last one of the part before.
         assert_eq!(lengths.iter().sum::<usize>(), poses.len() + parts.len() - 1);
         assert!(parts.windows(2).all(|two| two[0].last() == two[1].first()));
     }

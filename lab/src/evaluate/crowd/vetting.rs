@@ -1,4 +1,4 @@
-//! Which uploads are kept out of the map: honest ones, and ones whose poses are wrong.
+//! The experiment `vetting`: how many uploads does vetting keep out of the map, honest ones and ones with wrong poses?
 
 use std::f64::consts::TAU;
 
@@ -15,16 +15,16 @@ use super::uploads::{SentForm, VehicleUpload, cut, cut_wrong};
 use super::{CrowdSection, Scale, table};
 use crate::evaluate::condition::Experiment;
 
-/// Contributors of the maps that uploads are held against.
+/// Numbers of contributors to the maps that uploads are compared with.
 const CROWDS: [u64; 3] = [1, 3, 10];
 
 /// How the poses of an upload are wrong.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Wrong {
     No,
-    /// Metres, each upload in another direction.
+    /// Shifted by so many metres, each upload in another direction.
     Shift(f64),
-    /// Degrees, about the middle of the upload.
+    /// Turned by so many degrees about the middle of the upload.
     Turn(f64),
 }
 
@@ -54,7 +54,7 @@ impl Wrong {
         match self {
             Self::No => pose,
             Self::Shift(m) => {
-                // The golden section's angle: directions never repeat.
+                // Multiples of the golden angle never repeat.
                 let (sin, cos) = (number as f64 * 0.381_966 * TAU).sin_cos();
                 Pose2 { x_m: pose.x_m + m * cos, y_m: pose.y_m + m * sin, ..pose }
             }
@@ -73,15 +73,15 @@ impl Wrong {
     }
 }
 
-/// Uploads that were vetted; of them, those that agreed, that were new, that were quarantined.
+/// Numbers of uploads that agreed with the map, that were new to it, and that were quarantined.
 type Counts = [usize; 3];
 
-/// Counts by crowd and by what was wrong.
+/// The counts in a town, by the number of contributors and by what was wrong.
 fn counted(seed: u64) -> anyhow::Result<Vec<Vec<Counts>>> {
     let city = town::small(seed)?;
     let zone = city.site().zone();
     let [.., most] = CROWDS;
-    // The last two are held against the maps of the others.
+    // The uploads of the last two are compared with the maps of the others.
     let drive = |who: u64| town::drive(&city, who as u32, Way::Survey, who);
     let drives: Vec<_> = (0..most + 2).into_par_iter().map(drive).collect::<anyhow::Result<_>>()?;
     let (mapping, asking) = drives.split_at(most as usize);
@@ -131,7 +131,7 @@ struct VettingLine {
     crowds: [OfCrowd; CROWDS.len()],
 }
 
-/// What became of uploads on the map of one crowd.
+/// What became of the uploads on the map of so many contributors.
 #[derive(Serialize)]
 struct OfCrowd {
     contributors: u64,
@@ -160,7 +160,7 @@ impl VettingLine {
     }
 }
 
-/// The experiment.
+/// Runs the experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
@@ -178,7 +178,7 @@ pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
 mod tests {
     use super::*;
 
-    /// Catches: a turn that also shifts, and a shift that is not as long as it says.
+    /// Catches: a turn that also shifts, and a shift of another length.
     #[test]
     fn poses_are_as_wrong_as_was_said() {
         let (middle, pose) = (Pose2::new(5.0, 5.0, 1.0), Pose2::new(8.0, 9.0, 1.2));

@@ -1,4 +1,4 @@
-//! How maps age over a year in which the town changes.
+//! The experiment `year`: how maps age while the town changes.
 
 use echofix_core::drive::Drive;
 use echofix_core::geo::Zone;
@@ -19,24 +19,24 @@ use crate::evaluate::plots::Curve;
 use crate::evaluate::record::EpochRecord;
 use crate::evaluate::section::{Figure, Section};
 
-/// Vehicles that map.
+/// Number of vehicles that map the town.
 const CONTRIBUTORS: u64 = 5;
 /// Contributors that must hit something near a cell before it is served.
 const LEAST: u8 = 3;
-/// What the service takes poses for known from, metres.
+/// Largest standard deviation of a pose that is mapped from, metres.
 const MAX_SIGMA_M: f64 = 0.3;
 
-/// When who drives.
+/// The days on which vehicles drive.
 struct Calendar {
-    /// Days from one on which is mapped to the next.
+    /// Days between mapping drives.
     map_every: u32,
-    /// Days from one on which is localized to the next.
+    /// Days between localized drives.
     fix_every: u32,
-    /// Fixes a day.
+    /// Number of fixes of a localized drive.
     fixes: usize,
 }
 
-/// Days of the year.
+/// Number of days.
 const YEAR: u32 = 360;
 
 impl Calendar {
@@ -49,7 +49,7 @@ impl Calendar {
     }
 }
 
-/// What changes in a town: a building goes, another one comes, a street is a building site for four months.
+/// The changes of a town: a building disappears, another one is built, and a street is a building site for four months.
 fn changes(city: &City) -> Vec<Change> {
     let streets = city.network().streets();
     let plot = |street: usize, left| {
@@ -69,7 +69,7 @@ struct Maps {
     first: RadarMap,
     everything: RadarMap,
     crowd: CrowdMap,
-    /// Uploads, and how many of them were quarantined.
+    /// Number of uploads, and how many of them were quarantined.
     uploads: [usize; 2],
 }
 
@@ -93,7 +93,7 @@ impl Maps {
         Ok(())
     }
 
-    /// Fixes by the first map, by everything, by the crowd's.
+    /// The fixes of a drive on each of the three maps.
     fn fixes(&self, drive: &Drive, today: u16, most: usize) -> anyhow::Result<[Vec<EpochRecord>; 3]> {
         let key = MapKey { movers: Movers::Excluded, ..self.first.key };
         let served = RadarMap::of_tiles(key, self.crowd.zone(), self.crowd.published(LEAST, Some(today)));
@@ -105,10 +105,10 @@ impl Maps {
     }
 }
 
-/// Fixes of the days on which is localized.
+/// The fixes of each localized drive, by its day and by the map.
 type Days = Vec<(u32, [Vec<EpochRecord>; 3])>;
 
-/// One town's year, and its uploads.
+/// The fixes in one town, with the number of its uploads and of the quarantined ones.
 fn year(seed: u64, calendar: &Calendar) -> anyhow::Result<(Days, [usize; 2])> {
     let city = town::small(seed)?;
     let changes = changes(&city);
@@ -138,10 +138,10 @@ fn year(seed: u64, calendar: &Calendar) -> anyhow::Result<(Days, [usize; 2])> {
     Ok((days, maps.uploads))
 }
 
-/// The maps by name.
+/// The names of the maps.
 const NAMES: [&str; 3] = ["paper, map of day 0", "paper, everything added", "echofix"];
 
-/// The experiment.
+/// Runs the experiment.
 ///
 /// # Errors
 /// When a town or a drive cannot be simulated.
@@ -207,9 +207,9 @@ fn columns() -> Vec<String> {
 /// A line of the table.
 #[derive(Serialize)]
 struct YearLine {
-    /// A day, or all of them.
+    /// The day, or `all`.
     day: String,
-    /// By the map, in the order of the table.
+    /// Name and summary of each map, in the order of the table.
     maps: [(&'static str, Summary); NAMES.len()],
 }
 

@@ -1,5 +1,8 @@
-//! Percentiles and fractions with bootstrap confidence intervals. Whole clusters are drawn, because
-//! epochs that are near in time are not independent.
+//! Percentiles, means and fractions with bootstrap confidence intervals. The bootstrap draws whole clusters, because epochs that
+//! are near in time are not independent.
+//!
+//! The percentiles are weighted nearest ranks, and not those of `echofix_harness::percentiles`: a draw changes only how often
+//! each cluster counts, so that the sample is sorted once, and not once for each of the 1000 draws.
 
 use std::collections::BTreeMap;
 
@@ -7,18 +10,17 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-/// Draws of the bootstrap.
+/// Number of draws.
 const DRAWS: usize = 1000;
 const SEED: u64 = 1;
 
-/// Fewer clusters than this tell nothing of how far a figure may be off.
+/// With fewer clusters than this, no interval is given.
 const LEAST_CLUSTERS: usize = 5;
 
-/// A figure and the interval that holds it with 95 % confidence, which is NaN when there are too few
-/// clusters to tell.
+/// A figure with its 95 % confidence interval, which is NaN when there are too few clusters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Of the sample.
+    /// The figure of the whole sample.
     pub value: f64,
     /// 2.5 % of the draws are below.
     pub low: f64,
@@ -26,7 +28,7 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// How often each cluster is drawn, draw by draw.
+/// The draws: how often each cluster counts.
 struct Draws {
     rng: ChaCha8Rng,
     weights: Vec<u32>,
@@ -47,8 +49,7 @@ impl Draws {
     }
 }
 
-/// Percentiles by the nearest rank of (value, cluster) pairs, one for each of `fractions`; empty of
-/// nothing.
+/// Percentiles by the nearest rank of (value, cluster) pairs, one for each of `fractions`; empty for an empty sample.
 pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, fractions: &[f64]) -> Vec<Estimate> {
     let (sorted, clusters) = numbered(sample);
     if sorted.is_empty() {
@@ -65,9 +66,8 @@ pub fn percentiles<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>, fractions
     values.into_iter().zip(drawn).map(|(value, drawn)| estimate(value, drawn, clusters)).collect()
 }
 
-/// How a figure of one sample compares with another's: the ratio of the percentiles at `fraction`, then of the root
-/// mean squares, of ((value, other), cluster) rows; `None` of nothing. Rows are drawn together, so that what both
-/// samples have in common cancels.
+/// Ratios of two samples, given as ((value, other), cluster) rows: of their percentiles at `fraction`, and of their root mean
+/// squares. `None` for an empty sample. Both values of a row are drawn together, so that what they have in common cancels.
 pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], fraction: f64) -> Option<[Estimate; 2]> {
     let of =
         |value: fn(&(f64, f64)) -> f64| numbered(rows.iter().map(|(pair, cluster)| (value(pair), cluster)));
@@ -89,12 +89,12 @@ pub fn ratios<K: Ord>(rows: &[((f64, f64), K)], fraction: f64) -> Option<[Estima
     Some([0, 1].map(|k| estimate(value[k], drawn.iter().map(|d| d[k]).collect(), clusters)))
 }
 
-/// The fraction of (hit, cluster) pairs that are hits; `None` of nothing.
+/// The fraction of (hit, cluster) pairs that are hits; `None` for an empty sample.
 pub fn fraction<K: Ord>(sample: impl IntoIterator<Item = (bool, K)>) -> Option<Estimate> {
     mean(sample.into_iter().map(|(hit, cluster)| (f64::from(u8::from(hit)), cluster)))
 }
 
-/// The mean of (value, cluster) pairs; `None` of nothing.
+/// The mean of (value, cluster) pairs; `None` for an empty sample.
 pub fn mean<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> Option<Estimate> {
     let (sorted, clusters) = numbered(sample);
     let mut sums = vec![(0.0, 0.0); clusters];
@@ -115,7 +115,7 @@ pub fn mean<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> Option<Estima
     (clusters > 0).then(|| estimate(of(&vec![1; clusters]), drawn(), clusters))
 }
 
-/// Values in order, each with the number of its cluster, and how many clusters there are.
+/// The values in ascending order with the numbers of their clusters, and the number of clusters.
 fn numbered<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> (Vec<(f64, usize)>, usize) {
     let sample: Vec<_> = sample.into_iter().collect();
     let mut numbers: BTreeMap<&K, usize> = BTreeMap::new();
@@ -128,7 +128,7 @@ fn numbered<K: Ord>(sample: impl IntoIterator<Item = (f64, K)>) -> (Vec<(f64, us
     (sorted, numbers.len())
 }
 
-/// Nearest ranks when each cluster counts so often.
+/// Percentiles by the nearest rank, where each cluster counts as often as its weight says. The sample is ascending.
 fn at_fractions(sorted: &[(f64, usize)], weights: &[u32], fractions: &[f64]) -> Vec<f64> {
     let total: u64 = sorted.iter().map(|(_, cluster)| u64::from(weights[*cluster])).sum();
     let rank = |fraction: f64| ((fraction * total as f64).ceil() as u64).max(1);
@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_interval_of_a_mean_is_that_of_its_clusters() {
-        // 100 clusters of mean 0 or 1 tell as much as 100 values, however many rows each has.
+        // 100 clusters of mean 0 or 1 are worth as much as 100 values, however many rows each has.
         let rows = |each: usize| (0..100_u32).flat_map(move |k| vec![(f64::from(k % 2), k); each]);
         let (few, many) = (mean(rows(1)).unwrap(), mean(rows(50)).unwrap());
         assert!((few.value - 0.5).abs() < 1e-12 && few == many);
@@ -175,7 +175,7 @@ mod tests {
         assert!((few.high - few.low - 0.196).abs() < 0.03, "{few:?}");
     }
 
-    /// Catches: samples that are drawn apart, whose ratio would scatter by as much as either.
+    /// Catches: samples that are drawn separately, whose ratio would scatter as much as either.
     #[test]
     fn what_two_samples_have_in_common_cancels_in_their_ratio() {
         let rows: Vec<_> = (1..=200_u32).map(|k| ((1.1 * f64::from(k), f64::from(k)), k % 40)).collect();

@@ -1,4 +1,4 @@
-//! Are the errors as large as was said?
+//! Calibration of covariances: are the errors as large as the covariances say?
 
 use super::bootstrap::{Estimate, fraction, mean};
 
@@ -7,16 +7,16 @@ pub const CHI2_95_2: f64 = 5.991;
 /// 95 % of a chi-square of 3 degrees of freedom lie below.
 pub const CHI2_95_3: f64 = 7.815;
 
-/// Normalised errors squared beside what they should be.
+/// How normalised errors squared (NEES) compare with their expectation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Calibration {
-    /// Mean, a degree of freedom: 1 when the covariance is right, more when it is too small.
+    /// Mean for one degree of freedom: 1 when the covariance is right, more when it is too small.
     pub mean: Estimate,
     /// Fraction of the errors inside the 95 % ellipse: 0.95 when the covariance is right.
     pub inside: Estimate,
 }
 
-/// Of (normalised error squared, cluster) pairs; `None` of nothing.
+/// The calibration of (normalised error squared, cluster) pairs; `None` for an empty sample.
 pub fn calibration<K: Ord + Clone>(sample: &[(f64, K)], freedom: f64, chi2_95: f64) -> Option<Calibration> {
     Some(Calibration {
         mean: mean(sample.iter().map(|(nees, cluster)| (nees / freedom, cluster)))?,

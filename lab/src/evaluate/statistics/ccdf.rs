@@ -1,6 +1,6 @@
-//! How often is an error exceeded? (The complementary cumulative distribution.)
+//! The complementary cumulative distribution: how often is an error exceeded?
 
-/// Points of a curve while the fraction falls by a factor of e.
+/// Number of points on a curve while the fraction falls by a factor of e.
 const POINTS_PER_E: usize = 50;
 
 /// (error, fraction of the sample above it), from the smallest error to the largest but one.
@@ -9,7 +9,7 @@ pub fn ccdf(sample: impl IntoIterator<Item = f64>) -> Vec<(f64, f64)> {
     sorted.sort_by(f64::total_cmp);
     let count = sorted.len();
     let point = |index: usize| (sorted[index], (count - 1 - index) as f64 / count as f64);
-    // The tail is what the curve is for: steps shrink with what is left.
+    // The curve is made for its tail, where steps are small.
     let mut curve = Vec::new();
     let mut index = 0;
     while index + 1 < count {

@@ -1,10 +1,10 @@
-//! What many fixes amount to; pure functions.
+//! Statistics of many fixes; pure functions.
 //!
 //! - [`bootstrap`]: percentiles and fractions with confidence intervals.
 //! - [`ccdf`]: how often is an error exceeded?
-//! - [`calibration`]: are the errors as large as was said?
+//! - [`calibration`]: are the errors as large as the covariances say?
 //! - [`rank`]: do two quantities rise together?
-//! - [`roc`]: does the ambiguity detector tell wrong answers from right ones?
+//! - [`roc`]: does a score distinguish wrong answers from right ones?
 
 pub mod bootstrap;
 pub mod calibration;

@@ -1,6 +1,6 @@
 //! Do two quantities rise together, whatever their scale?
 
-/// Spearman's rank correlation of pairs; `None` when there are fewer than two, or one side is all alike.
+/// Spearman's rank correlation of pairs; `None` when there are fewer than two, or all values of one side are equal.
 #[must_use]
 pub fn correlation(pairs: &[(f64, f64)]) -> Option<f64> {
     let ranks = |value: fn(&(f64, f64)) -> f64| ranks(&pairs.iter().map(value).collect::<Vec<_>>());
@@ -11,7 +11,7 @@ pub fn correlation(pairs: &[(f64, f64)]) -> Option<f64> {
     (spread > 0.0).then(|| sum(&a, &b) / spread)
 }
 
-/// Ranks from 0; equal values share the mean of theirs.
+/// Ranks from 0; equal values all get the mean of their ranks.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));

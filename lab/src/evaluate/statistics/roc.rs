@@ -1,20 +1,20 @@
-//! Does the ambiguity detector tell wrong answers from right ones?
+//! The receiver operating characteristic: does a score distinguish wrong answers from right ones?
 
-/// Detections and false alarms over all thresholds.
+/// Detections and false alarms at all thresholds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Roc {
     /// (fraction of the right answers that are refused, fraction of the wrong ones that are), from the
     /// highest threshold to the lowest.
     pub points: Vec<(f64, f64)>,
-    /// Chance that a wrong answer scores above a right one: 0.5 when the score tells nothing.
+    /// Probability that a wrong answer scores above a right one: 0.5 when the score says nothing.
     pub area: f64,
-    /// Wrong answers.
+    /// Number of wrong answers.
     pub wrong: usize,
-    /// Right answers.
+    /// Number of right answers.
     pub right: usize,
 }
 
-/// Of (score, wrong) pairs; `None` unless there are both kinds.
+/// The characteristic of (score, wrong) pairs; `None` without right or without wrong answers.
 pub fn roc(sample: impl IntoIterator<Item = (f64, bool)>) -> Option<Roc> {
     let mut sorted: Vec<_> = sample.into_iter().collect();
     sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -25,7 +25,7 @@ pub fn roc(sample: impl IntoIterator<Item = (f64, bool)>) -> Option<Roc> {
     }
     let mut points = vec![(0.0, 0.0)];
     let (mut refused, mut area) = ([0_usize; 2], 0.0);
-    // Equal scores pass a threshold together.
+    // All equal scores pass a threshold together.
     for equal in sorted.chunk_by(|a, b| a.0.total_cmp(&b.0).is_eq()) {
         for (_, wrong) in equal {
             refused[usize::from(*wrong)] += 1;
