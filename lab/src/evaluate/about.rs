@@ -53,6 +53,13 @@ confidence intervals, by a bootstrap over blocks of two minutes, because epochs 
 independent. `Map's own error` is the mean error of the poses that the map was made from. No method that aligns
 with the map can detect it.";
 
+impl About {
+    /// True when the data are simulated towns, which the pages are about, and not drive logs.
+    pub fn is_simulated(&self) -> bool {
+        self.simulated
+    }
+}
+
 /// The data and methods that all experiments have in common.
 pub fn shared(about: &About) -> String {
     if about.simulated { format!("{SIMULATED}\n\n{METHOD}") } else { METHOD.to_owned() }

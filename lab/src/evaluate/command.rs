@@ -196,7 +196,8 @@ fn write_report(folder: &Path, about: &About, sections: &[Section]) -> anyhow::R
         let (name, part) = part(about, section);
         report::write_section(&pages.join(section.experiment.page()), &name, &part)?;
     }
-    if sections.iter().any(|section| section.experiment == Experiment::Headline) {
+    let headline = sections.iter().any(|section| section.experiment == Experiment::Headline);
+    if about.is_simulated() && headline {
         report::write_section(&pages.join(Experiment::Headline.page()), "evaluate-about", &shared(about))?;
     }
     Ok(())
