@@ -3,10 +3,8 @@
 //! - [`MapPoint`]: on the map. [`BodyPoint`]: in the body's frame. [`SensorPoint`]: in a radar's.
 //! - [`WeightedPoint`]: one of a thinned batch, with its vote.
 //!
-//! A [`BodyPoint`] comes onto the map by [`Pose2::to_map`]. Geometry that holds in any frame, such as
-//! [`Pose2::transform`], and numbers within a computation are plain arrays.
-
-use crate::pose::Pose2;
+//! A [`BodyPoint`] comes onto the map by [`Pose2::to_map`](crate::pose::Pose2::to_map). Geometry that holds in any frame, such as
+//! [`Pose2::transform`](crate::pose::Pose2::transform), and numbers within a computation are plain arrays.
 
 /// A position on the map: UTM metres of the zone at hand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -22,12 +20,6 @@ impl MapPoint {
     #[must_use]
     pub const fn new(x_m: f64, y_m: f64) -> Self {
         Self { x_m, y_m }
-    }
-
-    /// Where a pose on the map lies.
-    #[must_use]
-    pub const fn of(pose: &Pose2) -> Self {
-        Self::new(pose.x_m, pose.y_m)
     }
 
     /// The position so many metres farther east and north.

@@ -114,6 +114,14 @@ pub fn weighted_mean(shifts: impl IntoIterator<Item = (f64, Pose2)>) -> Pose2 {
     }
 }
 
+impl MapPoint {
+    /// Where a pose on the map lies.
+    #[must_use]
+    pub const fn of(pose: &Pose2) -> Self {
+        Self::new(pose.x_m, pose.y_m)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

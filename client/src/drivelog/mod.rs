@@ -9,6 +9,8 @@
 //! `read` detects which it is, `write` goes by the ending of the path. [`replay`](replay()) needs neither feature.
 
 #[cfg(any(feature = "mcap", feature = "csv"))]
+mod error;
+#[cfg(any(feature = "mcap", feature = "csv"))]
 mod file;
 #[cfg(feature = "mcap")]
 mod mcap;
@@ -21,7 +23,9 @@ pub mod tables;
 #[cfg(feature = "mcap")]
 pub use self::mcap::topic;
 #[cfg(any(feature = "mcap", feature = "csv"))]
-pub use file::{Error, read, write};
+pub use error::Error;
+#[cfg(any(feature = "mcap", feature = "csv"))]
+pub use file::{read, write};
 #[cfg(any(feature = "mcap", feature = "csv"))]
 pub use problem::Problem;
 pub use replay::{DriveEvent, replay};

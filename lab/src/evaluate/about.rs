@@ -28,6 +28,11 @@ impl About {
             seed: plan.seed,
         }
     }
+
+    /// True when the data are simulated towns, which the pages are about, and not drive logs.
+    pub fn is_simulated(&self) -> bool {
+        self.simulated
+    }
 }
 
 /// The command line, with file names without their folders.
@@ -52,13 +57,6 @@ get the same priors, of sigma 2 m and 3 deg. Figures are 50 / **95** / 99 percen
 confidence intervals, by a bootstrap over blocks of two minutes, because epochs near each other are not
 independent. `Map's own error` is the mean error of the poses that the map was made from. No method that aligns
 with the map can detect it.";
-
-impl About {
-    /// True when the data are simulated towns, which the pages are about, and not drive logs.
-    pub fn is_simulated(&self) -> bool {
-        self.simulated
-    }
-}
 
 /// The data and methods that all experiments have in common.
 pub fn shared(about: &About) -> String {

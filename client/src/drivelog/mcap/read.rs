@@ -14,7 +14,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use prost::Message;
 
 use super::super::Problem;
-use super::super::file::{Error, io_error, is_finite};
+use super::super::error::{Error, io_error, is_finite};
 use super::messages::{self, log};
 use super::topic;
 

@@ -10,7 +10,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions, Writer};
 use prost::Message;
 
-use super::super::file::{Error, io_error};
+use super::super::error::{Error, io_error};
 use super::super::{DriveEvent, replay};
 use super::{messages, schema, topic};
 

@@ -8,7 +8,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 
 use super::super::Problem;
-use super::super::file::{Error, is_finite};
+use super::super::error::{Error, is_finite};
 use super::row;
 use super::table::Table;
 

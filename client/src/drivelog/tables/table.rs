@@ -11,7 +11,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::super::Problem;
-use super::super::file::{Error, io_error};
+use super::super::error::{Error, io_error};
 
 /// A table that is there, compressed or not.
 pub(crate) struct Table {

@@ -5,7 +5,7 @@ use std::path::Path;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::scan::Scan;
 
-use super::super::file::{Error, io_error};
+use super::super::error::{Error, io_error};
 use super::{row, table};
 
 pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error> {
