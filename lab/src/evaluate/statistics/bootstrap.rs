@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_share_counts_hits() {
+    fn a_fraction_counts_hits() {
         let found = fraction((0..40).map(|k| (k % 4 == 0, k))).unwrap();
         assert!((found.value - 0.25).abs() < 1e-12 && found.low > 0.05 && found.high < 0.45);
         assert_eq!(fraction(std::iter::empty::<(bool, u8)>()), None);

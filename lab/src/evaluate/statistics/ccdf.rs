@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_point_says_what_share_lies_above() {
+    fn every_point_says_what_fraction_lies_above() {
         let sample: Vec<f64> = (0..10_000).map(|k| f64::from(k * 7919 % 10_007)).collect();
         let curve = ccdf(sample.iter().copied());
         assert!(curve.len() < 400 && curve.len() > 100, "{}", curve.len());
