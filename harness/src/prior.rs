@@ -15,7 +15,7 @@ pub struct PriorSigma {
 
 impl PriorSigma {
     /// The paper's priors (Sec. "Test procedure"): 2 m and 3 degrees.
-    pub const PAPER: Self = Self { position_m: 2.0, yaw_rad: 3.0 * std::f64::consts::PI / 180.0 };
+    pub const PAPER: Self = Self { position_m: 2.0, yaw_rad: 3_f64.to_radians() };
 
     /// A pose with an error drawn from this sigma: metres and radians of the pose's own frame.
     pub fn drawn_around(&self, pose: &Pose2, rng: &mut ChaCha8Rng) -> Pose2 {

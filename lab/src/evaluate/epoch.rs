@@ -28,10 +28,6 @@ const DRIVEN_US: i64 = 1_000_000;
 /// map's poses have changed.
 const BLOCK_US: i64 = 120_000_000;
 
-/// The paper's priors. The heading's sigma is by one bit larger than that of [`PriorSigma::PAPER`]: the published figures
-/// were made with this one.
-pub const PRIOR_SIGMA: PriorSigma = PriorSigma { yaw_rad: 3_f64.to_radians(), ..PriorSigma::PAPER };
-
 /// A time at which every method localizes the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Epoch {
@@ -163,10 +159,11 @@ fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajec
     Ok(part)
 }
 
-/// A pose with an error drawn from [`PRIOR_SIGMA`], as the prior of an alignment.
+/// A pose with an error drawn from [`PriorSigma::PAPER`], as the prior of an alignment.
 pub fn prior(around: &Pose2, scale: f64, seed: u64) -> Prior {
-    let pose = PRIOR_SIGMA.drawn_around(around, &mut ChaCha8Rng::seed_from_u64(seed));
-    Prior { pose, sigma_position_m: PRIOR_SIGMA.position_m, sigma_yaw_rad: PRIOR_SIGMA.yaw_rad, scale }
+    let PriorSigma { position_m: sigma_position_m, yaw_rad: sigma_yaw_rad } = PriorSigma::PAPER;
+    let pose = PriorSigma::PAPER.drawn_around(around, &mut ChaCha8Rng::seed_from_u64(seed));
+    Prior { pose, sigma_position_m, sigma_yaw_rad, scale }
 }
 
 #[cfg(test)]
