@@ -6,6 +6,7 @@ use super::answer::{Alignment, Findings};
 use super::drift::DriftRefiner;
 use super::engine::Engine;
 use super::pipeline::Pipeline;
+use super::rivals::RivalFinder;
 use super::thin::BLOCK_M;
 use super::verdict::Integrity;
 use super::weights::TileWeights;
@@ -31,6 +32,7 @@ pub struct Task<'a> {
 pub struct Aligner {
     pipeline: Pipeline,
     drift: DriftRefiner,
+    rivals: RivalFinder,
 }
 
 impl Aligner {
@@ -50,6 +52,7 @@ impl Aligner {
         let sharp = ranking.field.sharpened();
         let best = ranking.refined.first();
         let answer = best.map(|rigid| self.drift.refine(&sharp, prior, rigid, &search.drift));
-        Findings { ranking: &ranking, answer }.judge(integrity)
+        let challenge = self.rivals.challenge(&ranking);
+        Findings { ranking: &ranking, answer, challenge }.judge(integrity)
     }
 }

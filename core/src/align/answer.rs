@@ -5,6 +5,7 @@ use nalgebra::Matrix3;
 use super::alternatives::Alternatives;
 use super::ranking::Ranking;
 use super::refine::RefinedCandidate;
+use super::rivals::{Challenge, Rival};
 use super::verdict::{Integrity, Protection, Verdict, verdict};
 use crate::point::MapPoint;
 use crate::pose::{Pose2, wrap_angle};
@@ -24,15 +25,18 @@ pub struct Alignment {
     pub score: f64,
     /// The answer's mean weight relative to that of a random shift.
     pub contrast: f64,
-    /// Log-likelihood by which the answer exceeds the best candidate elsewhere, nats.
+    /// How clearly the objects in view prefer the answer to its strongest rival, in the search or around it, nats:
+    /// see [`Preference::nats`](super::objects::Preference::nats). Infinite without a rival.
     pub margin: f64,
+    /// That rival.
+    pub rival: Option<Rival>,
     /// Detections that were used.
     pub points_used: usize,
     /// Points that the batch was thinned to.
     pub thinned_points: usize,
     /// Fraction of them that lie on mapped structure at the answer.
     pub matched_fraction: f64,
-    /// Fraction of them that lie in a tile the map has.
+    /// Fraction of what was seen that lies where the map has been, by its returns.
     pub coverage: f64,
     /// Half width of the search: metres and radians.
     pub searched: (f64, f64),
@@ -60,6 +64,8 @@ pub(super) struct Findings<'a> {
     pub ranking: &'a Ranking<'a>,
     /// The answer, if there is any candidate.
     pub answer: Option<RefinedCandidate>,
+    /// What the objects in view say of it.
+    pub challenge: Challenge,
 }
 
 impl Findings<'_> {
@@ -72,7 +78,7 @@ impl Findings<'_> {
         let on_map = question.prior.corrected(&best.correction);
         let searched = question.lattice.half_widths();
         let background = self.ranking.background(searched.0.max(1.0));
-        let (matched_fraction, coverage) = self.agreement(&on_map, integrity);
+        let matched_fraction = self.matched_fraction(&on_map, integrity);
         // The map's own offset here is taken back from the answer.
         let off = question.view.mean_offset(MapPoint::of(&on_map));
         let truer =
@@ -84,11 +90,15 @@ impl Findings<'_> {
             alternatives: self.alternatives(background, truer),
             score: rigid.score - background,
             contrast: rigid.score / background.max(f64::MIN_POSITIVE),
-            margin: self.margin(integrity),
+            margin: self.challenge.strongest.map_or(f64::INFINITY, |rival| rival.preference.nats()),
+            rival: self
+                .challenge
+                .strongest
+                .map(|rival| Rival { correction: truer(&rival.correction), ..rival }),
             points_used: question.batch.points.iter().filter(|p| p.squared_range() <= reach_sq).count(),
             thinned_points: question.thinned.len(),
             matched_fraction,
-            coverage,
+            coverage: self.challenge.coverage,
             searched,
             verdict: Verdict::Usable,
         };
@@ -97,23 +107,14 @@ impl Findings<'_> {
         alignment
     }
 
-    /// Fractions of the batch that lie on mapped structure and in mapped tiles.
-    fn agreement(&self, pose: &Pose2, integrity: &Integrity) -> (f64, f64) {
+    /// The fraction of the batch that lies on mapped structure.
+    fn matched_fraction(&self, pose: &Pose2, integrity: &Integrity) -> f64 {
         let view = self.ranking.question.view;
         let near = |d: f64| d <= integrity.matched_within_m;
         let matched = |position: MapPoint| {
             view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
         };
-        let covered = |position: MapPoint| view.tile_at(position).is_some();
-        (self.ranking.fraction(pose, matched), self.ranking.fraction(pose, covered))
-    }
-
-    /// Log-likelihood by which the best candidate exceeds the best one elsewhere, nats; infinite without one.
-    fn margin(&self, integrity: &Integrity) -> f64 {
-        let Some(best) = self.ranking.refined.first() else { return 0.0 };
-        let votes = self.ranking.question.thinned.len() as f64 / integrity.score_temperature;
-        let next = self.ranking.best_beyond(&best.correction);
-        next.map_or(f64::INFINITY, |next| votes * (best.score - next.score))
+        self.ranking.fraction(pose, matched)
     }
 
     /// Candidates elsewhere, by their score above the background.

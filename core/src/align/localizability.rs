@@ -48,6 +48,10 @@ pub const SIGMA_FACTOR: f64 = 1.5;
 /// simulated scenes that are made to be mistaken, where fixes realise 0 to 5. In towns self-matches
 /// have 46 and more, and fixes about as much.
 pub const SELF_MATCH_NATS: f64 = 18.0;
+/// Independent returns count for this many points of a thinned batch, where candidates are compared.
+const SCORE_TEMPERATURE: f64 = 10.0;
+/// Margin below which a fix will most likely be ambiguous, nats.
+const LEAST_NATS: f64 = 12.0;
 /// Fewer points are a few accidents: an open field has some 150, a street of parked cars 300.
 const LEAST_POINTS: usize = 200;
 /// Sigma where nothing determines a direction, metres; for the heading, in radians, [`UNHELD_RAD`].
@@ -129,7 +133,7 @@ impl Localizability {
     pub fn expected(&self, integrity: &Integrity) -> Expected {
         if self.points < LEAST_POINTS || self.weakest_m() > integrity.max_sigma_m {
             Expected::TooLittleStructure
-        } else if self.margin < integrity.min_margin {
+        } else if self.margin < LEAST_NATS {
             Expected::Ambiguous
         } else {
             Expected::Usable
@@ -184,7 +188,7 @@ impl Assessor {
         let margin = rival.map_or(f64::INFINITY, |rival| {
             let here = field.slope(points, &prior.pose, prior.scale).value;
             let above = here - rival.score * points.len() as f64;
-            above / integrity.score_temperature - SELF_MATCH_NATS
+            above / SCORE_TEMPERATURE - SELF_MATCH_NATS
         });
         let slope = field.sharpened().slope(points, &prior.pose, prior.scale);
         let [xx, xy, yy, xt, yt, tt] = slope.curvature.map(|c| -c / integrity.temperature);

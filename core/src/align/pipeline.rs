@@ -32,6 +32,8 @@ pub struct Pipeline {
     view: MapView,
     thinner: Thinner,
     points: Vec<WeightedPoint>,
+    /// Detections of each point.
+    counts: Vec<f32>,
     engine: EngineWorkspace,
     candidates: Vec<Candidate>,
     refined: Vec<RefinedCandidate>,
@@ -46,12 +48,16 @@ impl Pipeline {
     /// Thins points to one a block, those within reach.
     pub fn thin(&mut self, points: &[BodyPoint], reach_m: f64) {
         self.thinner.thin(points, reach_m as f32, BLOCK_M, &mut self.points);
+        self.counts.clear();
+        self.counts.extend(self.thinner.counts());
     }
 
     /// Takes points that need no thinning.
     pub fn set_points(&mut self, points: impl IntoIterator<Item = WeightedPoint>) {
         self.points.clear();
         self.points.extend(points);
+        self.counts.clear();
+        self.counts.resize(self.points.len(), 1.0);
     }
 
     /// The thinned points.
@@ -100,7 +106,7 @@ impl Pipeline {
         }
         self.refined.sort_by(|a, b| b.score.total_cmp(&a.score));
         let question = SearchQuestion::new(&self.view, batch, &self.points, prior, search);
-        Ranking { question, field, refined: &self.refined }
+        Ranking { question, counts: &self.counts, field, refined: &self.refined }
     }
 }
 

@@ -15,6 +15,8 @@ const BACKGROUND_STEPS: i32 = 2;
 pub struct Ranking<'a> {
     /// What was asked.
     pub question: SearchQuestion<'a>,
+    /// Detections that each of the question's thinned points was made of.
+    pub counts: &'a [f32],
     /// What the candidates were refined on.
     pub field: ScoreField<'a>,
     /// Best first; those that could not be the best are as the engine found them.

@@ -5,7 +5,7 @@
 
 use super::simd::{Isa, Kernel};
 use super::view::MapView;
-use super::weights::STEPS;
+use super::weights::{KNOWN, STEPS};
 use crate::geo::CELL_M;
 use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
@@ -28,6 +28,8 @@ pub struct ScoreField<'a> {
     side: usize,
     /// The image's south-west corner.
     corner: MapPoint,
+    /// Where the map has been: 1 or 0 for each [`KNOWN`] x [`KNOWN`] cells.
+    known: &'a [u8],
     /// A weight w counts as `w * (curve[0] + curve[1] * w)`.
     curve: [f32; 2],
 }
@@ -37,7 +39,8 @@ impl<'a> ScoreField<'a> {
     #[must_use]
     pub fn of(view: &'a MapView) -> Self {
         let square = view.square();
-        Self { weights: view.fine().weights, side: square.side, corner: square.corner(), curve: [1.0, 0.0] }
+        let (weights, known) = (view.fine().weights, view.known().weights);
+        Self { weights, side: square.side, corner: square.corner(), known, curve: [1.0, 0.0] }
     }
 
     /// The same map with its weights squared: clutter then counts for little. For the last centimetres.
@@ -106,6 +109,36 @@ impl<'a> ScoreField<'a> {
         p
     }
 
+    /// Writes the weight of each point at its nearest cell, below 0 where the map has not been: nothing can be
+    /// said of what was seen there.
+    pub fn weigh<'p>(
+        &self,
+        points: impl Iterator<Item = &'p WeightedPoint>,
+        pose: &Pose2,
+        scale: f64,
+        out: &mut Vec<f32>,
+    ) {
+        let per_metre = 1.0 / CELL_M;
+        let x0 = ((pose.x_m - self.corner.x_m) * per_metre) as f32;
+        let y0 = ((pose.y_m - self.corner.y_m) * per_metre) as f32;
+        let (s, c) = pose.yaw_rad.sin_cos();
+        let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
+        let inside = 0.0..self.side as f32;
+        let known_side = self.side / KNOWN;
+        out.clear();
+        out.extend(points.map(|WeightedPoint { x_m: px, y_m: py, .. }| {
+            let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
+            if !(inside.contains(&x) && inside.contains(&y)) {
+                return UNKNOWN;
+            }
+            let (column, row) = (x as usize, y as usize);
+            match self.known.get(row / KNOWN * known_side + column / KNOWN) {
+                Some(1) => f32::from(self.weights[row * self.side + column]),
+                _ => UNKNOWN,
+            }
+        }));
+    }
+
     /// Only the score, each point at its nearest cell: for comparing far poses.
     #[must_use]
     pub fn value<'p>(
@@ -130,6 +163,9 @@ impl<'a> ScoreField<'a> {
         f64::from(sum) / f64::from(STEPS)
     }
 }
+
+/// The weight of a point where the map has not been.
+pub(super) const UNKNOWN: f32 = -1.0;
 
 /// Points to be summed up: the position of the body, cells, and sine and cosine times cells a metre.
 struct Sums<'a> {
@@ -224,8 +260,13 @@ mod tests {
     fn every_instruction_set_gives_the_same_bits() {
         const SIDE: usize = 96;
         let image: Vec<u8> = (0..SIDE * SIDE + 64).map(|i| (i * i * 31 + i * 7) as u8).collect();
-        let field =
-            ScoreField { weights: &image, side: SIDE, corner: MapPoint::default(), curve: [0.3, 0.004] };
+        let field = ScoreField {
+            weights: &image,
+            side: SIDE,
+            corner: MapPoint::default(),
+            known: &[],
+            curve: [0.3, 0.004],
+        };
         let spread = |i: usize, step: f32| (i as f32 * step).fract() * 11.0 - 5.5;
         for count in [0, 1, 15, 16, 17, 700] {
             // Some of them beyond the border.

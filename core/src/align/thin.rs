@@ -39,7 +39,13 @@ impl Thinner {
         }
         self.before += len;
         out.clear();
-        out.extend(self.sums[..len as usize].iter().map(|[x, y, n]| WeightedPoint::new(x / n, y / n, 1.0)));
+        self.sums.truncate(len as usize);
+        out.extend(self.sums.iter().map(|[x, y, n]| WeightedPoint::new(x / n, y / n, 1.0)));
+    }
+
+    /// The number of points that each mean of the last thinning was made of.
+    pub fn counts(&self) -> impl ExactSizeIterator<Item = f32> {
+        self.sums.iter().map(|[_, _, n]| *n)
     }
 
     /// Divides the vote of each block among the points in it. All must lie within `reach_m`.

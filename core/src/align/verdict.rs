@@ -1,8 +1,9 @@
 //! May the answer be used, and how large can its error be?
 //!
-//! A score is not a likelihood: neighbouring returns come from the same structure and are not
-//! independent. The curvature of the score is therefore divided by a temperature that was
-//! measured on drives with known truth, and the map's own error is added as a floor.
+//! No threshold here depends on what a radar, a street or a map are like. An answer may be used when the objects in
+//! view prefer it to every other pose that could be meant ([`super::rivals`]), when they determine it in every
+//! direction, and when the map has been where most of them stand. Whatever else is known of the answer only says
+//! why it may not be used.
 
 use super::Alignment;
 use crate::pose::Pose2;
@@ -10,23 +11,25 @@ use crate::pose::Pose2;
 /// What an answer must pass, and the calibration of its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Integrity {
-    /// Points a thinned batch must have.
+    /// Points a thinned batch must have: fewer have no covariance worth the name.
     pub min_points: usize,
-    /// Fraction of the batch that must lie in tiles the map has.
+    /// Fraction of what was seen that must lie where the map has been.
     pub min_coverage: f64,
-    /// Fraction of the batch that must lie on mapped structure.
-    pub min_matched: f64,
+    /// How clearly the objects in view must prefer the answer to any other pose, nats: see
+    /// [`super::objects::Preference::nats`].
+    pub min_margin: f64,
     /// A detection lies on mapped structure when a map point is this near, metres.
     pub matched_within_m: f64,
-    /// Score of the answer, relative to that of a random pose, below which it is no better than one.
-    pub min_contrast: f64,
-    /// Log-likelihood, in nats, by which the answer must exceed the best candidate elsewhere.
-    pub min_margin: f64,
+    /// Score of an answer relative to that of a random pose, below which an answer that may not be used is said to
+    /// be lost: it is no better than one.
+    pub lost_below: f64,
+    /// Score of the best alternative relative to the answer's, below which an answer that objects contradict is
+    /// said to be one on a stale map: there is no other.
+    pub alone_below: f64,
     /// Largest sigma of the answer along any direction, metres.
     pub max_sigma_m: f64,
-    /// Independent returns count for this many points of a thinned batch, where candidates are compared.
-    pub score_temperature: f64,
-    /// The same for the curvature of the score, on squared weights.
+    /// Independent returns count for this many points of a thinned batch: for the curvature of the score, on squared
+    /// weights.
     pub temperature: f64,
     /// Error of the poses that one pass was mapped from: one sigma along each axis, metres. The
     /// passes of a crowd average it out.
@@ -42,14 +45,13 @@ pub struct Integrity {
 impl Default for Integrity {
     fn default() -> Self {
         Self {
-            min_points: 300,
-            min_coverage: 0.7,
-            min_matched: 0.35,
+            min_points: 40,
+            min_coverage: 0.5,
+            min_margin: 2.4,
             matched_within_m: 0.3,
-            min_contrast: 1.3,
-            min_margin: 12.0,
+            lost_below: 1.3,
+            alone_below: 0.7,
             max_sigma_m: 0.5,
-            score_temperature: 10.0,
             temperature: 2.0,
             map_pose_m: 0.08,
             floor_m: 0.04,
@@ -72,11 +74,9 @@ impl Integrity {
 pub enum Verdict {
     /// Passed every check.
     Usable,
-    /// A second pose explains the batch nearly as well.
+    /// A second pose explains the objects in view nearly as well.
     Ambiguous {
-        /// Its score relative to the answer's.
-        relative_score: f64,
-        /// Log-likelihood by which the answer exceeds it, nats.
+        /// How clearly they prefer the answer, nats.
         margin: f64,
         /// True when the two lie along the vehicle's heading: the street repeats itself.
         along_track: bool,
@@ -88,12 +88,13 @@ pub enum Verdict {
         /// Sigma of the answer in its worst direction, metres; infinite where nothing determines it.
         sigma_m: f64,
     },
-    /// The pose is clear, but too little of what the batch saw is in the map: the street has changed.
+    /// No other pose comes near, but too many of the objects in view contradict it: the street has changed.
     MapStale {
-        /// The fraction that is.
+        /// The fraction of the batch that is on mapped structure.
         matched_fraction: f64,
     },
-    /// The best pose lies on the edge of the search: the prior is wrong by more than its sigmas allow.
+    /// The best pose lies on the edge of the search, or the objects in view prefer one beyond it: the prior is wrong by
+    /// more than its sigmas allow.
     PriorOutsideSearch,
     /// The map covers too little of what the batch saw.
     TooLittleMap {
@@ -130,26 +131,35 @@ impl Protection {
 /// The first check that the answer does not pass.
 pub(super) fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
     let sigma_m = worst_sigma_m(&answer.covariance);
-    let Alignment { thinned_points: points, coverage, matched_fraction, contrast, .. } = *answer;
-    let rival = answer.alternatives.first().filter(|_| answer.margin < integrity.min_margin);
+    let Alignment { thinned_points: points, coverage, contrast, margin, .. } = *answer;
+    let contested = margin < integrity.min_margin;
+    let displaced = margin < 0.0 && answer.rival.is_some_and(|rival| rival.beyond);
     if points < integrity.min_points {
         Verdict::TooLittleStructure { points, sigma_m }
     } else if coverage < integrity.min_coverage {
         Verdict::TooLittleMap { coverage }
-    } else if contrast < integrity.min_contrast {
+    } else if contested && contrast < integrity.lost_below {
         Verdict::Lost { contrast }
-    } else if at_edge {
+    } else if at_edge || displaced {
         Verdict::PriorOutsideSearch
-    } else if let Some((other, relative_score)) = rival {
-        let along_track = lies_along(answer, other);
-        Verdict::Ambiguous { relative_score: *relative_score, margin: answer.margin, along_track }
+    } else if contested {
+        contested_verdict(answer, integrity)
     } else if sigma_m > integrity.max_sigma_m || !sigma_m.is_finite() {
         Verdict::TooLittleStructure { points, sigma_m }
-    } else if matched_fraction < integrity.min_matched {
-        Verdict::MapStale { matched_fraction }
     } else {
         Verdict::Usable
     }
+}
+
+/// Why the objects in view do not prefer the answer: because another one is as good, or because they contradict it.
+fn contested_verdict(answer: &Alignment, integrity: &Integrity) -> Verdict {
+    let relative_score = answer.alternatives.first().map_or(0.0, |(_, relative_score)| *relative_score);
+    let in_search = answer.rival.filter(|rival| !rival.beyond);
+    if relative_score < integrity.alone_below && in_search.is_none() {
+        return Verdict::MapStale { matched_fraction: answer.matched_fraction };
+    }
+    let along_track = answer.rival.is_some_and(|rival| lies_along(answer, &rival.correction));
+    Verdict::Ambiguous { margin: answer.margin, along_track }
 }
 
 /// True when another correction lies within 30 degrees of the vehicle's heading from the answer.
@@ -170,11 +180,17 @@ fn worst_sigma_m(covariance: &[[f64; 3]; 3]) -> f64 {
 pub(super) mod tests {
     use super::*;
     use crate::align::Alternatives;
+    use crate::align::objects::Preference;
+    use crate::align::rivals::Rival;
 
     fn other(x_m: f64, y_m: f64, relative_score: f64) -> Alternatives {
         let mut others = Alternatives::default();
         others.push(Pose2::new(x_m, y_m, 0.0), relative_score);
         others
+    }
+
+    fn rival(x_m: f64, y_m: f64, beyond: bool) -> Option<Rival> {
+        Some(Rival { correction: Pose2::new(x_m, y_m, 0.0), preference: Preference::default(), beyond })
     }
 
     pub(in crate::align) fn answer() -> Alignment {
@@ -186,6 +202,7 @@ pub(super) mod tests {
             score: 1.0,
             contrast: 3.0,
             margin: 20.0,
+            rival: rival(5.0, 0.0, false),
             points_used: 7000,
             thinned_points: 2000,
             matched_fraction: 0.9,
@@ -207,11 +224,15 @@ pub(super) mod tests {
         assert_eq!(verdict(&answer(), true, &checks), Verdict::PriorOutsideSearch);
         assert!(matches!(judged(|a| a.thinned_points = 10), Verdict::TooLittleStructure { points: 10, .. }));
         assert!(matches!(judged(|a| a.coverage = 0.1), Verdict::TooLittleMap { .. }));
-        assert!(matches!(judged(|a| a.matched_fraction = 0.1), Verdict::MapStale { .. }));
-        assert!(matches!(judged(|a| a.contrast = 1.0), Verdict::Lost { .. }));
+        let lost = judged(|a| (a.contrast, a.margin) = (1.0, 1.0));
+        assert!(matches!(lost, Verdict::Lost { .. }), "{lost:?}");
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
-        let aside = judged(|a| (a.margin, a.alternatives) = (1.0, other(0.0, 5.0, 0.99)));
+        let aside = judged(|a| (a.margin, a.rival) = (1.0, rival(0.0, 5.0, false)));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
+        let displaced = judged(|a| (a.margin, a.rival) = (-1.0, rival(15.0, 0.0, true)));
+        assert_eq!(displaced, Verdict::PriorOutsideSearch);
+        let contradicted = judged(|a| (a.margin, a.rival) = (1.0, rival(15.0, 0.0, true)));
+        assert!(matches!(contradicted, Verdict::MapStale { .. }), "{contradicted:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);
         assert!(matches!(unheld, Verdict::TooLittleStructure { .. }), "{unheld:?}");

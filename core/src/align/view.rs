@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::weights::{COARSE, PassSums, TileWeights};
+use super::weights::{COARSE, KNOWN, PassSums, TileWeights};
 use crate::datum::mean_offset;
 use crate::geo::{CELLS_PER_TILE, TileId};
 use crate::point::MapPoint;
@@ -59,6 +59,7 @@ pub struct MapView {
     window: Option<WindowTiles>,
     fine: Vec<u8>,
     coarse: Vec<u8>,
+    known: Vec<u8>,
 }
 
 impl MapView {
@@ -73,6 +74,8 @@ impl MapView {
         let whole = square.tiles().count() == tiles.len();
         reset(&mut self.fine, square.side * square.side + PADDING, whole);
         reset(&mut self.coarse, coarse_side * coarse_side + PADDING, whole);
+        let known_side = square.side / KNOWN;
+        reset(&mut self.known, known_side * known_side, whole);
         for tile in tiles {
             let first = tile.id.first_cell();
             let at = [first.x - square.origin.x, first.y - square.origin.y];
@@ -80,6 +83,9 @@ impl MapView {
             let coarse = COARSE as i64;
             let at = at.map(|c| c.div_euclid(coarse));
             paste(tile.coarse(), CELLS_PER_TILE as i64 / coarse, &mut self.coarse, coarse_side as i64, at);
+            let squares = KNOWN as i64;
+            let at = [first.x - square.origin.x, first.y - square.origin.y].map(|c| c.div_euclid(squares));
+            paste(tile.known(), CELLS_PER_TILE as i64 / squares, &mut self.known, known_side as i64, at);
         }
     }
 
@@ -110,6 +116,13 @@ impl MapView {
     pub fn coarse(&self) -> ImageView<'_> {
         let square = self.square();
         ImageView { square, cells: COARSE, side: square.side / COARSE, weights: &self.coarse }
+    }
+
+    /// For each square of [`KNOWN`] x [`KNOWN`] cells 1 where the map has been.
+    #[must_use]
+    pub fn known(&self) -> ImageView<'_> {
+        let square = self.square();
+        ImageView { square, cells: KNOWN, side: square.side / KNOWN, weights: &self.known }
     }
 
     /// The tile at a position, if the map has it.

@@ -17,6 +17,11 @@ pub use super::smoothing::STEPS;
 
 /// Cells along the side of a coarse cell.
 pub const COARSE: usize = 4;
+/// Cells along the side of a square of which it is known whether the map has been there.
+pub const KNOWN: usize = 8;
+/// The map has been where it has anything so many of these squares away at most, 3.2 m: as far as things stand
+/// apart along a street.
+const KNOWN_REACH: i64 = 4;
 
 const SIDE: usize = CELLS_PER_TILE;
 
@@ -69,6 +74,8 @@ pub struct TileWeights {
     fine: Box<[u8]>,
     /// Mean weights of [`COARSE`] x [`COARSE`] cells.
     coarse: Box<[u8]>,
+    /// For each square of [`KNOWN`] x [`KNOWN`] cells 1 where the map has been, 0 where nothing is known.
+    known: Box<[u8]>,
     /// The points of the tile and its borders.
     pub points: MapPointIndex,
     /// What stands in the tile itself, block by block.
@@ -98,6 +105,7 @@ impl TileWeights {
         Self {
             id,
             coarse: pooled(&fine),
+            known: known(id, &tile_at),
             fine,
             points,
             blocks: blocks(own),
@@ -120,11 +128,18 @@ impl TileWeights {
         &self.coarse
     }
 
+    /// For each square of [`KNOWN`] x [`KNOWN`] cells 1 where the map has been, row-major.
+    #[must_use]
+    pub fn known(&self) -> &[u8] {
+        &self.known
+    }
+
     /// Bytes held, approximately.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.fine.len()
             + self.coarse.len()
+            + self.known.len()
             + self.points.bytes()
             + size_of_val(&*self.blocks)
             + size_of::<Self>()
@@ -153,6 +168,36 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
         }));
     }
     masses
+}
+
+/// Where the map has been: squares that have anything near them, in the tile or beyond its border.
+fn known<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Box<[u8]> {
+    const SQUARES: i64 = (SIDE / KNOWN) as i64;
+    let mut known = vec![0; (SQUARES * SQUARES) as usize];
+    let mut marked = vec![false; ((SQUARES + 2 * KNOWN_REACH) * (SQUARES + 2 * KNOWN_REACH)) as usize];
+    for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
+        let Some(tile) = tile_at(TileId { y: id.y + dy, x: id.x + dx, ..id }) else { continue };
+        for (index, _) in tile.cells() {
+            let square = |cell: i64, tile: i32| cell / KNOWN as i64 + i64::from(tile) * SQUARES;
+            let x = square(i64::from(*index) % SIDE as i64, dx);
+            let y = square(i64::from(*index) / SIDE as i64, dy);
+            let reach = -KNOWN_REACH..SQUARES + KNOWN_REACH;
+            if !(reach.contains(&x) && reach.contains(&y)) {
+                continue;
+            }
+            let wide = SQUARES + 2 * KNOWN_REACH;
+            let mark = &mut marked[((y + KNOWN_REACH) * wide + x + KNOWN_REACH) as usize];
+            if std::mem::replace(mark, true) {
+                continue;
+            }
+            for row in (y - KNOWN_REACH).max(0)..(y + KNOWN_REACH + 1).min(SQUARES) {
+                let from = row * SQUARES + (x - KNOWN_REACH).max(0);
+                let to = row * SQUARES + (x + KNOWN_REACH + 1).min(SQUARES);
+                known[from as usize..to.max(from) as usize].fill(1);
+            }
+        }
+    }
+    known.into_boxed_slice()
 }
 
 /// The occupied blocks of a tile, row by row.

@@ -158,7 +158,7 @@ fn ambiguity(rows: &[&EpochRecord], base: Condition) -> Section {
         .collect();
     let needed = Integrity::default().min_margin;
     let words = format!(
-        "## Ambiguity\n\nScenes with many positions that look alike: parked cars at equal distances and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well can a method detect answers that are wrong by more than a metre? `paper` does so by the score of the best alternative relative to the answer's. `echofix` does so by the margin, the log-likelihood by which the answer exceeds the best alternative; a usable answer needs {needed} nats.\n"
+        "## Ambiguity\n\nScenes with many positions that look alike: parked cars at equal distances and nothing else, facades of equal bays, the even walls of a tunnel, an open field. How well can a method detect answers that are wrong by more than a metre? `paper` does so by the score of the best alternative relative to the answer's. `echofix` does so by the margin, how clearly the objects in view prefer the answer to its strongest rival; a usable answer needs {needed} nats.\n"
     );
     let mut text = [&words[..], &tables::ambiguity(&groups)].join("\n");
     for (_, line) in &curves {

@@ -1,10 +1,11 @@
-//! Coarse to fine: every hypothesis on a coarse image with a thinned batch, then the best few on finer
+//! Coarse to fine: every hypothesis on a coarse image with a thinned batch, then the best hills on finer
 //! ones.
 //!
 //! Smoothing makes the map's local maxima wide: the one that is highest on the fine image is among the
-//! highest few on the coarse one. That is not proven but measured: "Does the fast search find the maximum?"
-//! in `docs/benchmarks/search.md` compares the constants below, all together, with the exact maximum. In simulated towns 6
-//! of 19 200 answers came from another candidate, one of them usable. No table varies them one by one.
+//! highest on the coarse one. That is not proven but measured: "Does the fast search find the maximum?"
+//! in `docs/benchmarks/search.md` compares the constants below, all together, with the exact maximum. Headings are
+//! scanned at every step of the lattice: a step of two misses sharp posts, which at 40 m are passed by within
+//! a degree.
 
 use std::cmp::Reverse;
 
@@ -21,34 +22,50 @@ use crate::pose::Pose2;
 const WIDE: usize = 32;
 /// Shifts to a strip around a candidate: the least power of two that holds the 11 of [`FINE`].
 const NARROW: usize = 16;
-/// Points that a scan of all hypotheses counts, at most, or little more. A scan's time is in proportion; a
-/// batch of a town has some 3200 points, so it counts every fifth. What that costs is the miss rate.
-const SCANNED: usize = 600;
-/// Points that the search around a candidate counts, at most, or little more. More than a scan's, for these
-/// sums rank the candidates, and only some hundred hypotheses are tried. What it costs is the miss rate.
-const SHARPENED: usize = 1000;
+/// Points of which the means are summed up: see [`Strips::add_means`].
+const FOUR: u32 = 4;
 /// Hypotheses of a scan of the coarse image beyond which a coarser one is scanned before it. A prior of 2 m
 /// and 3 degrees has 18 000 and is scanned at once; one of 4 m has 71 000; 30 m with all headings have
 /// eight million.
 const MANY: usize = 60_000;
-/// Candidates that the coarser image hands on, against the search's five of the coarse one: its pixels
-/// are 0.8 m wide, four times the sigma of the smoothing, and order candidates less surely. What it costs is
-/// the miss rate.
-const FROM_COARSER: usize = 32;
 /// Around a candidate of the coarser image, on the coarse one: its pixel is two wide, so that one pixel
-/// reaches its border and two more span a neighbour. Turns were scanned by four steps: two steps of two on
-/// either side reach the next ones.
-const COARSE: Around = Around { pixels: 3, turns: 2, step: 2 };
+/// reaches its border and two more span a neighbour. Turns were scanned by two steps: one on either side is what
+/// was left out.
+const COARSE: Around = Around { pixels: 3, turns: 1 };
 /// Around a candidate of the coarse image, on the fine one: its pixel is four cells wide, so that two cells
-/// reach its border and three more into its neighbours. Turns were scanned by two steps: one on either side
-/// is what was left out.
-const FINE: Around = Around { pixels: 5, turns: 1, step: 1 };
+/// reach its border and three more into its neighbours. A coarse pixel orders headings less surely: one on either
+/// side is tried again.
+const FINE: Around = Around { pixels: 5, turns: 1 };
 const _: () = assert!(2 * FINE.pixels < NARROW && 2 * COARSE.pixels < NARROW);
 
+/// How much a search counts: its time is in proportion, and what less costs is the miss rate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Effort {
+    /// Points that a scan of all hypotheses counts, at most, or little more; a batch of a town has some 3200.
+    scanned: usize,
+    /// Points that the search around a candidate counts, at most, or little more. More than a scan's, for these
+    /// sums rank the candidates, and only some hundred hypotheses are tried.
+    sharpened: usize,
+    /// Hills that the coarser image hands on: its pixels are 0.8 m wide, four times the sigma of the
+    /// smoothing, and order hills less surely.
+    from_coarser: usize,
+    /// Hills that the coarse image hands on, whatever the number of candidates that is asked for.
+    hills: usize,
+    /// Hypotheses beyond which the coarser image comes first.
+    many: usize,
+}
+
 /// The engine.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Fast {
     isa: Option<Isa>,
+    effort: Effort,
+}
+
+impl Default for Fast {
+    fn default() -> Self {
+        Self::BEST
+    }
 }
 
 /// Buffers, and the instruction set they are filled with.
@@ -62,21 +79,29 @@ struct FastBuffers {
     coarser: Vec<u8>,
 }
 
-/// A search around a candidate: half widths in pixels and turns, and the step of a turn in fine steps.
+/// A search around a candidate: half widths in pixels and in steps of the heading.
 struct Around {
     pixels: usize,
     turns: i32,
-    step: i32,
 }
 
 impl Fast {
     /// The engine on the fastest instruction set of this processor.
-    pub const BEST: Self = Self { isa: None };
+    pub const BEST: Self = Self {
+        isa: None,
+        effort: Effort { scanned: 600, sharpened: 1000, from_coarser: 32, hills: 16, many: MANY },
+    };
+
+    /// A glance at a wide area: enough to find what looks alike, not to tell how much.
+    pub const GLANCE: Self = Self {
+        isa: None,
+        effort: Effort { scanned: 250, sharpened: 250, from_coarser: 12, hills: 6, many: 0 },
+    };
 
     /// The engine on one instruction set.
     #[must_use]
     pub fn on(isa: Isa) -> Self {
-        Self { isa: Some(isa) }
+        Self { isa: Some(isa), ..Self::BEST }
     }
 }
 
@@ -94,33 +119,34 @@ impl Engine for Fast {
         let buffers = workspace.buffers::<FastBuffers>();
         buffers.isa = self.isa.unwrap_or_default();
         for (question, candidates) in questions.iter().zip(candidates) {
-            buffers.search(question, candidates);
+            buffers.search(question, &self.effort, candidates);
         }
     }
 }
 
 impl FastBuffers {
-    fn search(&mut self, question: &SearchQuestion, candidates: &mut Vec<Candidate>) {
+    fn search(&mut self, question: &SearchQuestion, effort: &Effort, candidates: &mut Vec<Candidate>) {
         let coarse = question.view.coarse();
         let shifts = 2 * question.lattice.lag.div_ceil(coarse.cells) + 1;
-        if shifts * shifts * question.lattice.headings() > MANY {
+        if shifts * shifts * question.lattice.headings() > effort.many {
             let mut image = std::mem::take(&mut self.coarser);
             let coarser = halved(&coarse, &mut image);
-            self.scan(question, &coarser, 4);
-            self.highest(question, &coarser, FROM_COARSER, candidates);
-            self.sharpen(question, &coarse, &COARSE, candidates);
+            self.scan(question, effort, &coarser, 2);
+            self.highest(question, &coarser, effort.from_coarser, candidates);
+            self.sharpen(question, effort, &coarse, &COARSE, candidates);
+            candidates.truncate(effort.hills.max(question.search.candidates));
             self.coarser = image;
         } else {
-            self.scan(question, &coarse, 2);
-            self.highest(question, &coarse, question.search.candidates, candidates);
+            self.scan(question, effort, &coarse, 1);
+            self.highest(question, &coarse, effort.hills.max(question.search.candidates), candidates);
         }
-        self.sharpen(question, &question.view.fine(), &FINE, candidates);
+        self.sharpen(question, effort, &question.view.fine(), &FINE, candidates);
         candidates.truncate(question.search.candidates);
     }
 
     /// Sums of an image for every shift of its pixels and every `step`th turn, reduced to the best
     /// turn.
-    fn scan(&mut self, question: &SearchQuestion, image: &ImageView, step: usize) {
+    fn scan(&mut self, question: &SearchQuestion, effort: &Effort, image: &ImageView, step: usize) {
         let lag = question.lattice.lag.div_ceil(image.cells);
         let width = 2 * lag + 1;
         let turns = question.lattice.turns.div_ceil(step) as i32;
@@ -128,7 +154,7 @@ impl FastBuffers {
         self.best.resize(width * width, (0, 0));
         self.sums.resize(width, [0; WIDE]);
         let strips = Strips::<WIDE> { image: image.weights, stride: image.side, rows: width };
-        let stride = (question.thinned.len() / SCANNED).max(1);
+        let stride = (question.thinned.len() / effort.scanned).max(1);
         for turn in -turns..=turns {
             let turn = turn * step as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
@@ -136,7 +162,7 @@ impl FastBuffers {
             question.projection(image, lag).pixel_indices(self.isa, at, points, &mut self.pixels);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
-                strips.add(self.isa, &self.pixels, &mut self.sums);
+                strips.add_means(self.isa, &self.pixels, &mut self.sums);
                 let columns = WIDE.min(width - first);
                 for (row, sums) in self.sums.iter().enumerate() {
                     let from = row * width + first;
@@ -195,12 +221,13 @@ impl FastBuffers {
     fn sharpen(
         &mut self,
         question: &SearchQuestion,
+        effort: &Effort,
         image: &ImageView,
         around: &Around,
         candidates: &mut [Candidate],
     ) {
         for candidate in candidates.iter_mut() {
-            self.sharpen_one(question, image, around, candidate);
+            self.sharpen_one(question, effort, image, around, candidate);
         }
         candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
@@ -208,6 +235,7 @@ impl FastBuffers {
     fn sharpen_one(
         &mut self,
         question: &SearchQuestion,
+        effort: &Effort,
         image: &ImageView,
         around: &Around,
         candidate: &mut Candidate,
@@ -217,16 +245,16 @@ impl FastBuffers {
         let (from, yaw_step) = (candidate.correction, question.lattice.yaw_step_rad);
         let pixel_m = image.cells as f64 * CELL_M;
         let turn = (from.yaw_rad / yaw_step).round() as i32;
-        let stride = question.thinned.len().div_ceil(SHARPENED).max(1);
+        let stride = question.thinned.len().div_ceil(effort.sharpened).max(1);
         let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
         let mut sums = [[0_u32; NARROW]; NARROW];
         let mut highest = 0;
-        for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {
+        for turn in (-around.turns..=around.turns).map(|i| turn + i) {
             let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * yaw_step);
             let projection = question.projection(image, around.pixels);
             projection.pixel_indices(self.isa, at, points.clone(), &mut self.pixels);
             sums.fill([0; NARROW]);
-            strips.add(self.isa, &self.pixels, &mut sums[..width]);
+            strips.add_means(self.isa, &self.pixels, &mut sums[..width]);
             for (row, sums) in sums[..width].iter().enumerate() {
                 for (column, sum) in sums[..width].iter().enumerate() {
                     if *sum > highest {
@@ -239,7 +267,7 @@ impl FastBuffers {
                 }
             }
         }
-        candidate.score = mean_weight(highest, points.len());
+        candidate.score = mean_weight(FOUR * highest, points.len());
     }
 }
 

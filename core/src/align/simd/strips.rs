@@ -44,6 +44,47 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
         }
     }
 
+    /// Adds to `sums[row][column]` the rounded means of the bytes of four pixels each: about a quarter of what
+    /// [`Strips::add`] adds, at a third of its time. What is left of the pixels, fewer than four, is not counted.
+    ///
+    /// # Panics
+    /// When a pixel does not fit.
+    pub fn add_means(&self, isa: Isa, pixels: &[u32], sums: &mut [[u32; WIDTH]]) {
+        assert!(pixels.iter().max().is_none_or(|last| self.fits(*last as usize)), "pixels fit the image");
+        for chunk in pixels.chunks(4 * CHUNK) {
+            let (fours, _) = chunk.as_chunks();
+            isa.run(FoursChunk { strips: self, fours, sums: &mut sums[..self.rows] });
+        }
+    }
+
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+    #[inline(always)]
+    fn add_mean_rows<const N: usize>(&self, fours: &[[u32; 4]], first: usize, sums: &mut [[u32; WIDTH]]) {
+        let mut short = [[0_u16; WIDTH]; N];
+        for four in fours {
+            for (row, short) in short.iter_mut().enumerate() {
+                let [a, b, c, d] = four.map(|pixel| self.strip(pixel as usize + (first + row) * self.stride));
+                *short = added(*short, mean(mean(a, b), mean(c, d)));
+            }
+        }
+        for (sums, short) in sums.iter_mut().zip(&short) {
+            for (sum, short) in sums.iter_mut().zip(short) {
+                *sum += u32::from(*short);
+            }
+        }
+    }
+
+    /// The strip from an index on, which is one of a row of a pixel that fits.
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+    #[inline(always)]
+    fn strip(&self, from: usize) -> [u8; WIDTH] {
+        #[cfg(test)]
+        assert!(from + WIDTH <= self.image.len());
+        // SAFETY: `add` and `add_means` found that every pixel fits, so that the strips of all its rows end
+        // inside the image; an array of bytes has no alignment.
+        unsafe { self.image.as_ptr().add(from).cast::<[u8; WIDTH]>().read() }
+    }
+
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn add_rows<const N: usize>(&self, pixels: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
@@ -51,13 +92,7 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
         for pixel in pixels {
             let from = *pixel as usize + first * self.stride;
             for (row, short) in short.iter_mut().enumerate() {
-                let from = from + row * self.stride;
-                #[cfg(test)]
-                assert!(from + WIDTH <= self.image.len());
-                // SAFETY: `add` found that every pixel fits, so that the strips of all its rows end
-                // inside the image; an array of bytes has no alignment.
-                let strip = unsafe { self.image.as_ptr().add(from).cast::<[u8; WIDTH]>().read() };
-                *short = added(*short, strip);
+                *short = added(*short, self.strip(from + row * self.stride));
             }
         }
         for (sums, short) in sums.iter_mut().zip(&short) {
@@ -92,6 +127,43 @@ impl<const WIDTH: usize> Kernel for PixelChunk<'_, WIDTH> {
             first += 1;
         }
     }
+}
+
+/// At most [`CHUNK`] pixels by four, to be added as means.
+struct FoursChunk<'a, const WIDTH: usize> {
+    strips: &'a Strips<'a, WIDTH>,
+    fours: &'a [[u32; 4]],
+    sums: &'a mut [[u32; WIDTH]],
+}
+
+impl<const WIDTH: usize> Kernel for FoursChunk<'_, WIDTH> {
+    type Out = ();
+
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+    #[inline(always)]
+    fn run(self) {
+        let mut groups = self.sums.chunks_exact_mut(ROWS);
+        let mut first = 0;
+        for group in &mut groups {
+            self.strips.add_mean_rows::<ROWS>(self.fours, first, group);
+            first += ROWS;
+        }
+        for row in groups.into_remainder().chunks_exact_mut(1) {
+            self.strips.add_mean_rows::<1>(self.fours, first, row);
+            first += 1;
+        }
+    }
+}
+
+/// Means, a half rounded up: one instruction for a register of bytes.
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+#[inline(always)]
+fn mean<const WIDTH: usize>(a: [u8; WIDTH], b: [u8; WIDTH]) -> [u8; WIDTH] {
+    let mut means = [0; WIDTH];
+    for i in 0..WIDTH {
+        means[i] = ((u16::from(a[i]) + u16::from(b[i]) + 1) >> 1) as u8;
+    }
+    means
 }
 
 #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
@@ -133,6 +205,16 @@ mod tests {
             let values = pixels.iter().map(|pixel| image[*pixel as usize + row * stride + column]);
             7 + values.map(u32::from).sum::<u32>()
         };
+        // 599 are 149 fours and a rest.
+        let mean_at = |row: usize, column: usize| {
+            let value = |pixel: u32| u32::from(image[pixel as usize + row * stride + column]);
+            let mean = |a: u32, b: u32| (a + b).div_ceil(2);
+            let fours = pixels[..596].chunks(4).map(|four| {
+                let [a, b, c, d] = [0, 1, 2, 3].map(|i: usize| value(four[i]));
+                mean(mean(a, b), mean(c, d))
+            });
+            7 + fours.sum::<u32>()
+        };
         for isa in Isa::available() {
             let mut sums = vec![[7_u32; WIDTH]; rows + 1];
             strips.add(isa, &pixels, &mut sums);
@@ -140,6 +222,16 @@ mod tests {
                 assert_eq!(*sums, std::array::from_fn(|column| at(row, column)), "{isa:?}, seed {seed}");
             }
             assert_eq!(sums[rows], [7; WIDTH], "{isa:?} writes no further");
+            let mut means = vec![[7_u32; WIDTH]; rows + 1];
+            strips.add_means(isa, &pixels[..599], &mut means);
+            for (row, means) in means[..rows].iter().enumerate() {
+                assert_eq!(
+                    *means,
+                    std::array::from_fn(|column| mean_at(row, column)),
+                    "{isa:?}, seed {seed}"
+                );
+            }
+            assert_eq!(means[rows], [7; WIDTH], "{isa:?} writes no further");
         }
     }
 

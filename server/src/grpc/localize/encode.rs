@@ -112,6 +112,8 @@ fn diagnostics(answer: &LocateAnswer, batch: &BatchFacts) -> Diagnostics {
         align_ms: milliseconds(answer.timing.align),
         contrast: alignment.contrast,
         searched_wide: answer.relocalized,
+        margin: if alignment.margin.is_finite() { alignment.margin } else { 0.0 },
+        rival: alignment.rival.map(|rival| relative(&rival.correction)),
     }
 }
 
@@ -136,17 +138,17 @@ fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
         Verdict::Usable => (
             FixStatus::Usable,
             format!(
-                "{:.0} % of the batch lies on mapped structure, no other pose comes near",
+                "{:.0} % of the batch lies on mapped structure, and the objects in view prefer no other pose",
                 percent(alignment.matched_fraction)
             ),
         ),
-        Verdict::Ambiguous { relative_score, along_track: true, .. } => (
+        Verdict::Ambiguous { along_track: true, .. } => (
             FixStatus::AmbiguousAlongTrack,
-            format!("another pose along the street scores {:.0} % of this one", percent(relative_score)),
+            format!("the objects in view fit a pose {} along the street nearly as well", distance(alignment)),
         ),
-        Verdict::Ambiguous { relative_score, along_track: false, .. } => (
+        Verdict::Ambiguous { along_track: false, .. } => (
             FixStatus::Ambiguous,
-            format!("another pose scores {:.0} % of this one", percent(relative_score)),
+            format!("the objects in view fit a pose {} away nearly as well", distance(alignment)),
         ),
         Verdict::TooLittleStructure { points, sigma_m } if !sigma_m.is_finite() => (
             FixStatus::TooLittleStructure,
@@ -159,13 +161,14 @@ fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
         Verdict::MapStale { matched_fraction } => (
             FixStatus::MapStale,
             format!(
-                "the pose is clear, but only {:.0} % of the batch is in the map",
+                "no other pose comes near, but too many objects in view contradict it: {:.0} % of the batch is in the map",
                 percent(matched_fraction)
             ),
         ),
         Verdict::PriorOutsideSearch => (
             FixStatus::PriorOutsideSearch,
-            "the best pose lies on the edge of the search or beyond; ask again from this one".to_owned(),
+            "the best pose lies on the edge of the search, or the objects in view prefer one beyond it; ask again from this one"
+                .to_owned(),
         ),
         Verdict::Lost { contrast } => (
             FixStatus::Lost,
@@ -175,6 +178,14 @@ fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
             (FixStatus::TooLittleMap, format!("the map covers only {:.0} % of the batch", percent(coverage)))
         }
     }
+}
+
+/// How far the answer's strongest rival lies from it.
+fn distance(alignment: &Alignment) -> String {
+    alignment.rival.map_or_else(
+        || "elsewhere".to_owned(),
+        |rival| format!("{:.1} m", rival.correction.distance_m(&alignment.correction)),
+    )
 }
 
 /// The refusal's reason, as `google.rpc.ErrorInfo` and the metrics name it.
