@@ -3,7 +3,7 @@
 use echofix_core::convention::{Finding, Inspection};
 use echofix_core::drive::GeoPose;
 use echofix_core::drive::segment::usable_segments;
-use echofix_core::evidence::build::{BuildError, BuiltEvidence, Chunk, RawUpload, build_evidence};
+use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
 use echofix_core::gate::Dropped;
 use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
@@ -246,7 +246,7 @@ impl Recorder {
             let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, dropped, inspection);
             raw.chunks.push(Chunk { poses: segment.to_vec(), scans });
         }
-        let mut upload = self.upload_of(raw, first_us);
+        let mut upload = if self.is_misread() { self.withheld(&raw) } else { self.upload_of(raw, first_us) };
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
         if let Some(upload) = &mut upload {
@@ -254,6 +254,19 @@ impl Recorder {
         }
         self.told = self.dropped;
         upload
+    }
+
+    /// Is something of the whole trip in another convention, whatever a part of it shows? Movers are told, and left to the service.
+    fn is_misread(&self) -> bool {
+        self.inspection.findings().iter().any(|finding| !matches!(finding, Finding::Moving { .. }))
+    }
+
+    /// Counts the detections of a part that is not sent.
+    fn withheld(&mut self, raw: &RawUpload) -> Option<PreparedUpload> {
+        raw.chunks.iter().flat_map(|chunk| &chunk.scans).for_each(|scan| {
+            count_lost(&mut self.dropped, scan);
+        });
+        None
     }
 
     /// The upload in the form that is sent; `None` when nothing is left to map.
@@ -271,7 +284,6 @@ impl Recorder {
             }
             return (upload.detections() > 0).then_some(upload);
         }
-        let detections: usize = raw.chunks.iter().flat_map(|chunk| &chunk.scans).map(Scan::len).sum();
         let poses = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
         let sigmas = poses
             .fold([0.0_f64; 2], |[p, y], pose| [p.max(pose.sigma_position_m), y.max(pose.sigma_yaw_rad)]);
@@ -281,11 +293,8 @@ impl Recorder {
                 upload.add_evidence(&delta, sigmas);
                 Some(upload)
             }
-            // Poses were checked as they came: what fails here has nothing to map, or a yaw that is wrong.
+            // Poses were checked as they came: what fails here has nothing to map.
             Err(reason) => {
-                if let BuildError::WrongConvention(_) = reason {
-                    self.dropped.without_pose += detections as u64;
-                }
                 tracing::debug!(%reason, "a part of the drive maps nothing");
                 None
             }

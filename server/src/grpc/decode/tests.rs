@@ -123,6 +123,7 @@ fn a_batch_needs_all_its_parts() {
         mounts: vec![v1::SensorMount::default(); 2],
         scans: Some(scan_columns()),
         odometry: Some(odometry),
+        ..v1::Batch::default()
     };
     let refused = |change: fn(&mut v1::Batch)| {
         let mut part = whole.clone();
