@@ -61,7 +61,11 @@ async fn main() -> Result<(), Box<dyn Error>> {
             }
         }
     }
-    if let (Some(upload), _) = recorder.finish() {
+    let trip = recorder.finish();
+    for finding in &trip.findings {
+        warn!(%finding, "check the conventions");
+    }
+    if let Some(upload) = trip.upload {
         uploader.submit(upload).await?;
     }
     if let Err(left) = uploader.flush(Duration::from_secs(30)).await {

@@ -20,6 +20,16 @@
 //! folders of CSV files, and has the imports. A vehicle needs neither: with `default-features = false` the
 //! library takes no `mcap`, `csv` or `flate2`, and everything but reading and writing of logs is there.
 //!
+//! Conventions: a heading is radians, counter-clockwise from true east (0 is east, pi / 2 is north), of the body's forward
+//! axis; an azimuth is radians, counter-clockwise from the radar's boresight, and a mount's yaw counter-clockwise from
+//! forward: what is left is positive. A radial speed is metres per second, positive away from the radar, with the vehicle's own motion
+//! still in it. Data in other conventions pass every check of ranges, so [`upload::Recorder::findings`] and
+//! [`vehicle::Vehicle::findings`] look at whether they fit together, and ask. An elevation is radians, positive up; with it range and
+//! radial speed are those of the slant, else those along the ground.
+//!
+//! How far detections count is one number, 50 m unless set: `gate.max_range_m` of [`upload::RecorderConfig`] and
+//! [`vehicle::VehicleConfig`] on the vehicle, `radar.max_range_m` in the service. The smaller one counts.
+//!
 //! Nothing here reads a clock but the waits and deadlines of calls, the ids of uploads, and the cache's notes of
 //! which tile was used when: time is what the sensors say.
 //!

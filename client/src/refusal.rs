@@ -27,6 +27,11 @@ pub enum RefusalReason {
     PoseTooUncertain,
     /// An upload is older than the service still takes.
     TooOld,
+    /// More detections of an upload were dropped as moving than stand still; the message asks for the convention that would
+    /// explain it.
+    MostlyMoving,
+    /// Something in an upload is in another convention than the contract's; the message asks for it.
+    WrongConvention,
     /// A reason this version of the library does not know.
     Other(String),
 }
@@ -44,6 +49,8 @@ impl RefusalReason {
             "OUTSIDE_UTM" => Self::OutsideUtm,
             "POSE_TOO_UNCERTAIN" => Self::PoseTooUncertain,
             "TOO_OLD" => Self::TooOld,
+            "MOSTLY_MOVING" => Self::MostlyMoving,
+            "WRONG_CONVENTION" => Self::WrongConvention,
             other => Self::Other(other.to_owned()),
         }
     }
@@ -60,6 +67,8 @@ impl RefusalReason {
             Self::OutsideUtm => "OUTSIDE_UTM",
             Self::PoseTooUncertain => "POSE_TOO_UNCERTAIN",
             Self::TooOld => "TOO_OLD",
+            Self::MostlyMoving => "MOSTLY_MOVING",
+            Self::WrongConvention => "WRONG_CONVENTION",
             Self::Other(reason) => reason,
         }
     }
@@ -205,6 +214,8 @@ mod tests {
             "OUTSIDE_UTM",
             "POSE_TOO_UNCERTAIN",
             "TOO_OLD",
+            "MOSTLY_MOVING",
+            "WRONG_CONVENTION",
         ] {
             let details = ErrorDetails::with_error_info(reason, "echofix", []);
             let status = Status::with_error_details(Code::FailedPrecondition, "no", details);

@@ -3,7 +3,9 @@
 //! Times on the wire are offsets from the enclosing message's reference time, so that they pack
 //! into few bytes.
 
+use echofix_core::convention::{Convention, Finding};
 use echofix_core::drive::GeoPose;
+use echofix_core::gate::Dropped;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 use echofix_proto::v1;
@@ -14,7 +16,8 @@ pub fn mount(mount: &Mount) -> v1::SensorMount {
     v1::SensorMount { x_m: mount.x_m as f32, y_m: mount.y_m as f32, yaw_rad: mount.yaw_rad as f32 }
 }
 
-/// The geometry of scans, oldest first, as columns relative to `reference_time_us`: eight bytes a detection.
+/// The geometry of scans, oldest first, as columns relative to `reference_time_us`: eight bytes a detection, and
+/// more where scans still have elevations or times of their detections, which gated ones do not.
 /// Movers are dropped on the vehicle, so radial speeds are not sent, nor are cross sections.
 #[must_use]
 pub fn scans<'a>(
@@ -27,9 +30,54 @@ pub fn scans<'a>(
         time_offset_us: scans.clone().map(|s| s.time_us.saturating_sub(reference_time_us)).collect(),
         detection_count: scans.clone().map(|s| s.len() as u32).collect(),
         range_m: scans.clone().flat_map(|s| &s.range_m).copied().collect(),
-        azimuth_rad: scans.flat_map(|s| &s.azimuth_rad).copied().collect(),
-        radial_speed_mps: Vec::new(),
-        rcs_dbsm: Vec::new(),
+        azimuth_rad: scans.clone().flat_map(|s| &s.azimuth_rad).copied().collect(),
+        elevation_rad: optional(scans.clone(), |s| &s.elevation_rad),
+        detection_time_offset_us: optional(scans, |s| &s.detection_time_offset_us),
+        ..v1::Scans::default()
+    }
+}
+
+/// A column that some scans have: 0 for the others, as if they lay in the plane and were taken at once.
+fn optional<'a, T: Copy + Default + 'a>(
+    scans: impl Iterator<Item = &'a Scan> + Clone,
+    column: impl Fn(&'a Scan) -> &'a Vec<T>,
+) -> Vec<T> {
+    if scans.clone().all(|scan| column(scan).is_empty()) {
+        return Vec::new();
+    }
+    let rows = |scan: &'a Scan| (0..scan.len()).map(move |row| (scan, row));
+    scans.flat_map(rows).map(|(scan, row)| column(scan).get(row).copied().unwrap_or_default()).collect()
+}
+
+/// What the gates left out.
+#[must_use]
+pub fn dropped(dropped: &Dropped) -> v1::DroppedDetections {
+    let Dropped { too_slow, too_far, off_height, moving, without_pose } = *dropped;
+    v1::DroppedDetections { too_slow, too_far, moving, without_pose, off_height }
+}
+
+/// The conventions that findings suspect, each once.
+#[must_use]
+pub fn suspected(findings: &[Finding]) -> Vec<i32> {
+    let mut codes: Vec<i32> =
+        findings.iter().flat_map(Finding::suspects).map(|suspect| convention(*suspect).into()).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    codes
+}
+
+fn convention(suspect: Convention) -> v1::Convention {
+    match suspect {
+        Convention::RadialSpeedTowards => v1::Convention::RadialSpeedTowards,
+        Convention::RadialSpeedCompensated => v1::Convention::RadialSpeedCompensated,
+        Convention::RadialSpeedKmh => v1::Convention::RadialSpeedKmh,
+        Convention::AzimuthClockwise => v1::Convention::AzimuthClockwise,
+        Convention::AzimuthDegrees => v1::Convention::AzimuthDegrees,
+        Convention::YawFromNorth => v1::Convention::YawFromNorth,
+        Convention::YawFromNorthCounterClockwise => v1::Convention::YawFromNorthCounterClockwise,
+        Convention::YawClockwise => v1::Convention::YawClockwise,
+        Convention::YawDegrees => v1::Convention::YawDegrees,
+        Convention::LatLonSwapped => v1::Convention::LatLonSwapped,
     }
 }
 
@@ -75,6 +123,15 @@ mod tests {
                 prop_assert_eq!(sent.time_us, scan.time_us);
                 prop_assert_eq!(&sent.range_m, &scan.range_m);
                 prop_assert_eq!(&sent.azimuth_rad, &scan.azimuth_rad);
+                let some = |column: bool| if column { scan.len() } else { 0 };
+                let [elevations, times] = [
+                    drive.scans.iter().any(|s| !s.elevation_rad.is_empty()),
+                    drive.scans.iter().any(|s| !s.detection_time_offset_us.is_empty()),
+                ];
+                prop_assert_eq!((sent.elevation_rad.len(), sent.detection_time_offset_us.len()), (some(elevations), some(times)));
+                if !scan.elevation_rad.is_empty() {
+                    prop_assert_eq!(&sent.elevation_rad, &scan.elevation_rad);
+                }
             }
             let message = odometry(drive.odometry.iter(), reference);
             prop_assert_eq!(decode::odometry(&message, reference), drive.odometry);

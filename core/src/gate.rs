@@ -8,6 +8,14 @@
 //! rows are judged in double precision; points are made eight at a time in single precision, and their
 //! rows are judged in it, too. A row whose residual lies within a rounding of the limit may pass one and
 //! not the other, so neither can stand in for the other without changing what is uploaded or mapped.
+//!
+//! # Elevations
+//!
+//! The map is a plane and the body moves in it. Where a radar measures elevations, a detection at the slant range
+//! `r` and the elevation `e` lies `r cos e` away along the ground and `r sin e` above the radar. What stands still
+//! shows `cos e` times the radial speed that it would show on the ground, for only that part of the motion
+//! is along the line of sight: residuals are compared as measured, so that steep rows do not gain noise, and what is left is
+//! on the ground: range times, radial speed divided by `cos e`.
 
 use wide::f32x8;
 
@@ -15,15 +23,30 @@ use crate::doppler::{sensor_velocity, static_radial_speed};
 use crate::odometry::{BodyVelocity, Trajectory};
 use crate::point::{MapPoint, SensorPoint};
 use crate::pose::Pose2;
+use crate::scan::slices::{at_once, slices};
 use crate::scan::{Mount, Scan, ScanView};
+
+/// How far detections count unless it is set: the default of every limit of the range, of the vehicle and of the
+/// service, and of the search's extent. Metres.
+pub const MAX_RANGE_M: f64 = 50.0;
+
+/// Cosine of the steepest elevation that passes: beyond 60 degrees the range along the ground is no longer measured, and a radial
+/// speed says less than half of the motion.
+const STEEPEST_COS: f64 = 0.5;
 
 /// Which detections pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
     /// Scans taken slower than this are dropped, metres per second: clutter is intense at rest.
     pub min_speed_mps: f64,
-    /// Detections farther than this are dropped, metres: they are mostly clutter.
+    /// Detections farther than this along the ground are dropped, metres: they are mostly clutter.
     pub max_range_m: f64,
+    /// Detections lower than this against their radar are dropped, metres: what appears below the road is
+    /// a reflection in it. Like [`Gate::max_height_m`] it is for detections with an elevation; others have no height.
+    pub min_height_m: f64,
+    /// Detections higher than this above their radar are dropped, metres. The default is what a road leaves clear for
+    /// lorries: bridges and gantries are above.
+    pub max_height_m: f64,
     /// Detections whose radial speed differs more than this from a stationary target's are
     /// dropped as movers, metres per second.
     pub max_doppler_residual_mps: f64,
@@ -31,7 +54,13 @@ pub struct Gate {
 
 impl Default for Gate {
     fn default() -> Self {
-        Self { min_speed_mps: 1.0, max_range_m: 50.0, max_doppler_residual_mps: 0.5 }
+        Self {
+            min_speed_mps: 1.0,
+            max_range_m: MAX_RANGE_M,
+            min_height_m: -2.0,
+            max_height_m: 4.0,
+            max_doppler_residual_mps: 0.5,
+        }
     }
 }
 
@@ -39,7 +68,13 @@ impl Gate {
     /// One that drops movers and nothing else.
     #[must_use]
     pub fn of_movers(max_doppler_residual_mps: f64) -> Self {
-        Self { min_speed_mps: 0.0, max_range_m: f64::INFINITY, max_doppler_residual_mps }
+        Self {
+            min_speed_mps: 0.0,
+            max_range_m: f64::INFINITY,
+            min_height_m: f64::NEG_INFINITY,
+            max_height_m: f64::INFINITY,
+            max_doppler_residual_mps,
+        }
     }
 
     /// The velocity of the body at the time of a scan of so many rows, where the scan passes as a whole;
@@ -69,6 +104,8 @@ pub struct Dropped {
     pub too_slow: u64,
     /// Farther than the maximum range.
     pub too_far: u64,
+    /// Too low, too high or too steep.
+    pub off_height: u64,
     /// Movers.
     pub moving: u64,
     /// Taken outside the trajectory.
@@ -79,13 +116,26 @@ impl Dropped {
     /// Dropped detections, whatever the reason.
     #[must_use]
     pub fn total(&self) -> u64 {
-        self.too_slow + self.too_far + self.moving + self.without_pose
+        self.too_slow + self.too_far + self.off_height + self.moving + self.without_pose
+    }
+
+    /// What was dropped since an earlier count.
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Self {
+        Self {
+            too_slow: self.too_slow.saturating_sub(earlier.too_slow),
+            too_far: self.too_far.saturating_sub(earlier.too_far),
+            off_height: self.off_height.saturating_sub(earlier.off_height),
+            moving: self.moving.saturating_sub(earlier.moving),
+            without_pose: self.without_pose.saturating_sub(earlier.without_pose),
+        }
     }
 
     /// Adds the counts of another one.
     pub fn add(&mut self, other: &Self) {
         self.too_slow += other.too_slow;
         self.too_far += other.too_far;
+        self.off_height += other.off_height;
         self.moving += other.moving;
         self.without_pose += other.without_pose;
     }
@@ -103,8 +153,10 @@ pub struct UnknownSensor {
     pub mounts: usize,
 }
 
-/// Drops the rows of a scan that do not pass, in double precision.
+/// Drops the rows of a scan that do not pass, in double precision, and brings the others to the ground: after it the scan has no
+/// elevations.
 ///
+/// All rows are taken for the scan's time; cut a scan that took its time into [`slices`](crate::scan::slices) first.
 /// `velocity` is the body's at the time of the scan; without it all rows are dropped, for want of a pose.
 pub fn gate_scan(scan: &mut Scan, mount: &Mount, velocity: Option<BodyVelocity>, gate: &Gate) -> Dropped {
     let mut dropped = Dropped::default();
@@ -113,20 +165,39 @@ pub fn gate_scan(scan: &mut Scan, mount: &Mount, velocity: Option<BodyVelocity>,
         return dropped;
     };
     scan.retain(|scan, row| {
-        let far = f64::from(scan.range_m[row]) > gate.max_range_m;
-        let moving = !far && is_mover(scan, row, mount, velocity, gate.max_doppler_residual_mps);
+        let slant_m = f64::from(scan.range_m[row]);
+        let (sin, cos) = scan.elevation_rad.get(row).map_or((0.0, 1.0), |e| f64::from(*e).sin_cos());
+        let far = slant_m * cos > gate.max_range_m;
+        let off_height = !far
+            && (cos < STEEPEST_COS || !(gate.min_height_m..=gate.max_height_m).contains(&(slant_m * sin)));
+        let moving =
+            !far && !off_height && is_mover(scan, row, mount, velocity, gate.max_doppler_residual_mps);
         dropped.too_far += u64::from(far);
+        dropped.off_height += u64::from(off_height);
         dropped.moving += u64::from(moving);
-        !far && !moving
+        !far && !off_height && !moving
     });
+    bring_to_ground(scan);
     dropped
+}
+
+/// Brings ranges and radial speeds to the ground; the elevations, which must not be steep, are gone then.
+fn bring_to_ground(scan: &mut Scan) {
+    for (row, elevation) in std::mem::take(&mut scan.elevation_rad).into_iter().enumerate() {
+        let cos = elevation.cos();
+        scan.range_m[row] *= cos;
+        if let Some(radial_speed) = scan.radial_speed_mps.get_mut(row) {
+            *radial_speed /= cos;
+        }
+    }
 }
 
 /// True when a row shows a radial speed that no stationary target would; false where the scan has no radial
 /// speeds.
 fn is_mover(scan: &Scan, row: usize, mount: &Mount, v: BodyVelocity, max_residual_mps: f64) -> bool {
     let Some(&measured) = scan.radial_speed_mps.get(row) else { return false };
-    let expected = static_radial_speed(mount, v, f64::from(scan.azimuth_rad[row]));
+    let along_ground = scan.elevation_rad.get(row).map_or(1.0, |elevation| f64::from(*elevation).cos());
+    let expected = along_ground * static_radial_speed(mount, v, f64::from(scan.azimuth_rad[row]));
     (f64::from(measured) - expected).abs() > max_residual_mps
 }
 
@@ -164,7 +235,8 @@ impl GatedScan<'_> {
     }
 }
 
-/// Gives the points of every scan that passes, in single precision, and counts the rows that do not.
+/// Gives the points of every scan that passes, in single precision and on the ground, and counts the rows that do not. A
+/// scan that took its time comes as its [`slices`].
 ///
 /// # Errors
 /// When a scan names an unknown sensor.
@@ -186,12 +258,19 @@ where
             sensor: scan.sensor,
             mounts: mounts.len(),
         })?;
-        let body = trajectory.at(scan.time_us);
-        let velocity = body.and(trajectory.velocity_at(scan.time_us));
-        let velocity = gate.pass_scan(velocity, scan.range_m.len(), &mut dropped);
-        let (Some(body), Some(velocity)) = (body, velocity) else { continue };
-        let points = RowGate::new(gate, mount, velocity, &scan).apply(&scan, &mut points, &mut dropped);
-        visit(GatedScan { time_us: scan.time_us, body, mount, points });
+        let mut pass = |scan: &ScanView<'_>| {
+            let body = trajectory.at(scan.time_us);
+            let velocity = body.and(trajectory.velocity_at(scan.time_us));
+            let velocity = gate.pass_scan(velocity, scan.range_m.len(), &mut dropped);
+            let (Some(body), Some(velocity)) = (body, velocity) else { return };
+            let points = RowGate::new(gate, mount, velocity, scan).apply(scan, &mut points, &mut dropped);
+            visit(GatedScan { time_us: scan.time_us, body, mount, points });
+        };
+        if at_once(&scan) {
+            pass(&scan);
+        } else {
+            slices(&scan).iter().for_each(|slice| pass(&slice.into()));
+        }
     }
     Ok(dropped)
 }
@@ -202,6 +281,8 @@ const LANES: usize = 8;
 /// The gate for the rows of one scan, in single precision.
 struct RowGate {
     max_range_m: f32x8,
+    /// The lowest and the highest against the radar.
+    height_m: [f32x8; 2],
     /// Of the sensor along its own axes; 0 where radial speeds are not measured.
     velocity_mps: [f32x8; 2],
     max_residual_mps: f32x8,
@@ -214,6 +295,7 @@ impl RowGate {
         let velocity_mps = if measured { sensor_velocity(mount, velocity) } else { [0.0; 2] };
         Self {
             max_range_m: splat(gate.max_range_m),
+            height_m: [gate.min_height_m, gate.max_height_m].map(splat),
             velocity_mps: velocity_mps.map(splat),
             max_residual_mps: splat(gate.max_doppler_residual_mps),
         }
@@ -232,18 +314,28 @@ impl RowGate {
         let mut passed = 0;
         for from in (0..rows).step_by(LANES) {
             let lanes = |column: &[f32]| group(column, from);
-            let (range, azimuth) = (lanes(scan.range_m), lanes(scan.azimuth_rad));
+            let (slant, azimuth) = (lanes(scan.range_m), lanes(scan.azimuth_rad));
             let (s, c) = azimuth.sin_cos();
+            let (rise, level) = match scan.elevation_rad {
+                [] => (f32x8::ZERO, f32x8::ONE),
+                elevations => lanes(elevations).sin_cos(),
+            };
+            let range = slant * level;
             let given = u32::MAX >> (32 - LANES.min(rows - from));
             let far = range.simd_gt(self.max_range_m).to_bitmask() & given;
+            let off_height = match scan.elevation_rad {
+                [] => 0,
+                _ => self.off_height(slant * rise, level) & given & !far,
+            };
             let moving = match scan.radial_speed_mps {
                 [] => 0,
-                speeds => self.moving(lanes(speeds), s, c) & given & !far,
+                speeds => self.moving(lanes(speeds), level * s, level * c) & given & !far & !off_height,
             };
             dropped.too_far += u64::from(far.count_ones());
+            dropped.off_height += u64::from(off_height.count_ones());
             dropped.moving += u64::from(moving.count_ones());
             let (x, y) = ((range * c).to_array(), (range * s).to_array());
-            let pass = given & !far & !moving;
+            let pass = given & !far & !off_height & !moving;
             // Written in any case, and overwritten by the next one unless it passed: no branches.
             for lane in 0..LANES {
                 buffer[passed] = SensorPoint { x_m: x[lane], y_m: y[lane] };
@@ -251,6 +343,13 @@ impl RowGate {
             }
         }
         &buffer[..passed]
+    }
+
+    /// Lanes that are too low, too high or too steep.
+    fn off_height(&self, height: f32x8, level: f32x8) -> u32 {
+        let [lowest, highest] = self.height_m;
+        let steep = level.simd_lt(f32x8::splat(STEEPEST_COS as f32)).to_bitmask();
+        height.simd_lt(lowest).to_bitmask() | height.simd_gt(highest).to_bitmask() | steep
     }
 
     /// Lanes whose radial speed no stationary target would show; [`is_mover`] for eight rows.
@@ -273,96 +372,4 @@ fn group(column: &[f32], from: usize) -> f32x8 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    /// Fast on a bend, covering 0 to 1 s.
-    fn bend() -> Trajectory {
-        let pose = |i: i64| Pose2::new(500.0 + 2.0 * i as f64, -300.0, 0.04 * i as f64);
-        Trajectory::new((0..=10).map(|i| (i * 100_000, pose(i)))).unwrap()
-    }
-
-    /// Detections of which some are far and some move.
-    fn rows() -> impl Strategy<Value = Vec<(f32, f32, f32)>> {
-        let speed = prop_oneof![Just(0.0_f32), Just(0.4), Just(-0.6), Just(20.0)];
-        prop::collection::vec((0.0..60.0_f32, -1e3..1e3_f32, speed), 0..40)
-    }
-
-    proptest! {
-        #[test]
-        fn groups_agree_with_rows_one_by_one(
-            rows in rows(), time_us in 0..1_000_000_i64, x in -5.0..5.0, y in -2.0..2.0, yaw in -3.0..3.0,
-            doppler: bool,
-        ) {
-            let (trajectory, gate, mount) = (bend(), Gate::default(), Mount::new(x, y, yaw));
-            let (body, v) = (trajectory.at(time_us).unwrap(), trajectory.velocity_at(time_us).unwrap());
-            let mut scan = Scan { time_us, ..Scan::default() };
-            for (range, azimuth, residual) in rows {
-                scan.range_m.push(range);
-                scan.azimuth_rad.push(azimuth);
-                if doppler {
-                    let still = static_radial_speed(&mount, v, f64::from(azimuth)) as f32;
-                    scan.radial_speed_mps.push(still + residual);
-                }
-            }
-            let mut expected = (Dropped::default(), Vec::new());
-            for row in 0..scan.len() {
-                if f64::from(scan.range_m[row]) > gate.max_range_m {
-                    expected.0.too_far += 1;
-                } else if is_mover(&scan, row, &mount, v, gate.max_doppler_residual_mps) {
-                    expected.0.moving += 1;
-                } else {
-                    expected.1.push(body.transform(mount.transform(scan.sensor_point(row))));
-                }
-            }
-            let mut found = Vec::new();
-            let dropped = for_each_gated_scan([&scan], &[mount], &trajectory, &gate, |scan| {
-                assert_eq!(scan.time_us, time_us);
-                found.extend(scan.points_on_map(1.0));
-            });
-            prop_assert_eq!(dropped, Ok(expected.0));
-            prop_assert_eq!(found.len(), expected.1.len());
-            for (a, b) in found.iter().zip(&expected.1) {
-                prop_assert!(a.distance_m((*b).into()) < 1e-4, "{a:?} {b:?}");
-            }
-        }
-    }
-
-    fn gated_at(speed_mps: Option<f64>) -> (Scan, Dropped) {
-        // Ahead: stationary, stationary but far, coming towards the vehicle.
-        let mut scan = Scan {
-            range_m: vec![10.0, 51.0, 20.0],
-            azimuth_rad: vec![0.0; 3],
-            radial_speed_mps: vec![-5.0, -5.0, -9.0],
-            ..Scan::default()
-        };
-        let velocity = speed_mps.map(|v| BodyVelocity { forward_mps: v, ..BodyVelocity::default() });
-        let dropped = gate_scan(&mut scan, &Mount::IDENTITY, velocity, &Gate::default());
-        (scan, dropped)
-    }
-
-    #[test]
-    fn every_drop_is_counted_by_its_reason() {
-        let (scan, dropped) = gated_at(Some(5.0));
-        assert_eq!(scan.range_m, [10.0]);
-        assert_eq!(dropped, Dropped { too_far: 1, moving: 1, ..Dropped::default() });
-        assert_eq!(gated_at(Some(0.9)).1, Dropped { too_slow: 3, ..Dropped::default() });
-        assert_eq!(gated_at(None).1, Dropped { without_pose: 3, ..Dropped::default() });
-    }
-
-    #[test]
-    fn movers_go_and_the_rest_stays() {
-        let v = Some(BodyVelocity { forward_mps: 10.0, ..BodyVelocity::default() });
-        let mut scan = Scan {
-            range_m: vec![20.0, 30.0, 40.0],
-            azimuth_rad: vec![0.0; 3],
-            radial_speed_mps: vec![-10.1, -2.0, -9.8],
-            ..Scan::default()
-        };
-        assert_eq!(gate_scan(&mut scan, &Mount::IDENTITY, v, &Gate::of_movers(0.5)).moving, 1);
-        assert_eq!(scan.range_m, [20.0, 40.0]);
-        scan.radial_speed_mps.clear();
-        assert_eq!(gate_scan(&mut scan, &Mount::IDENTITY, v, &Gate::of_movers(0.5)).total(), 0);
-    }
-}
+mod tests;

@@ -64,6 +64,7 @@
 //! - [`drive`]: one recorded drive, and its segments that can be mapped from.
 //! - [`doppler`]: the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`gate`]: which detections pass, and why the others are dropped.
+//! - [`convention`]: data in another convention than the contract's, told in words.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
 //! - [`evidence`]: what a map cell knows; the evidence delta of an upload, and how it is built from scans
 //!   and poses; the inverse sensor model.
@@ -81,6 +82,7 @@
 pub mod agreement;
 pub mod align;
 pub mod batch;
+pub mod convention;
 pub mod datum;
 pub mod doppler;
 pub mod drive;

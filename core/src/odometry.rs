@@ -61,16 +61,18 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Forgets poses older than `time_us`, keeping the last one before it for interpolation.
+    /// Forgets poses older than `time_us`, keeping the last one up to it for interpolation, and two in any case: one
+    /// alone has no velocity.
     pub fn trim_before(&mut self, time_us: i64) {
         let from = self.time_us.partition_point(|t| *t <= time_us).saturating_sub(1);
+        let from = from.min(self.len().saturating_sub(2));
         self.time_us.drain(..from);
         self.pose.drain(..from);
     }
 
-    /// Forgets poses newer than `time_us`, keeping the first one after it for interpolation.
+    /// Forgets poses newer than `time_us`, keeping the first one from it on for interpolation, and two in any case.
     pub fn trim_after(&mut self, time_us: i64) {
-        let until = self.time_us.partition_point(|t| *t < time_us) + 1;
+        let until = (self.time_us.partition_point(|t| *t < time_us) + 1).max(2);
         self.time_us.truncate(until);
         self.pose.truncate(until);
     }
@@ -224,6 +226,17 @@ mod tests {
         t.trim_before(1_020_000);
         assert_eq!(t.first().map(|p| p.0), Some(1_000_000));
         assert!(t.at(1_020_000).is_some());
+    }
+
+    /// Catches one scan on odometry's newest pose, or on its first, that has no velocity and counts as standing.
+    #[test]
+    fn trimming_to_a_moment_leaves_a_velocity() {
+        for time_us in [0, 50_000, 99 * 50_000] {
+            let mut t = circle();
+            t.trim_before(time_us);
+            t.trim_after(time_us);
+            assert!((t.velocity_at(time_us).unwrap().forward_mps - 10.0).abs() < 1e-3, "{time_us}");
+        }
     }
 
     #[test]

@@ -1,22 +1,35 @@
 //! One radar scan, and where its radar sits on the vehicle.
+//!
+//! - [`Scan`]: its own columns; [`ScanView`]: somebody else's.
+//! - [`slices`]: a scan that took its time, as several that did not.
+
+pub mod slices;
+
+use std::f32::consts::FRAC_PI_2;
 
 use crate::pose::Pose2;
 
 /// Detections of one sensor at one time, as columns of equal length.
 ///
-/// `radial_speed_mps` and `rcs_dbsm` may be empty when the sensor does not measure them.
+/// All columns but range and azimuth may be empty when the sensor does not measure them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Scan {
     /// Index into the vehicle's list of sensor mounts.
     pub sensor: usize,
     /// Time of the scan, microseconds since the Unix epoch (UTC).
     pub time_us: i64,
-    /// Range, metres.
+    /// Range, metres; the slant range where there are elevations, else along the ground.
     pub range_m: Vec<f32>,
     /// Azimuth, radians, counter-clockwise from the sensor's boresight.
     pub azimuth_rad: Vec<f32>,
     /// Radial speed relative to the sensor, metres per second, positive away from it.
     pub radial_speed_mps: Vec<f32>,
+    /// Elevation, radians above the body's plane. The [gate](crate::gate) brings range and radial speed to the
+    /// ground with it and drops what is too low or too high.
+    pub elevation_rad: Vec<f32>,
+    /// Time of the detection relative to the scan's, microseconds: a spinning radar takes a turn for a scan.
+    /// [`slices`] place each detection from where the body was at its own time.
+    pub detection_time_offset_us: Vec<i32>,
     /// Radar cross section, decibel square metres. Recorded, not read yet: drive logs and the contract carry
     /// it, everything behind them leaves it out.
     pub rcs_dbsm: Vec<f32>,
@@ -36,12 +49,26 @@ pub struct ScanView<'a> {
     /// Radial speed relative to the sensor, metres per second, positive away from it; as long, or
     /// empty when it is not measured.
     pub radial_speed_mps: &'a [f32],
+    /// Elevation, radians above the body's plane; as long, or empty when it is not measured.
+    pub elevation_rad: &'a [f32],
+    /// Time of the detection relative to the scan's, microseconds; as long, or empty when all were taken at once.
+    pub detection_time_offset_us: &'a [i32],
 }
 
 impl<'a> From<&'a Scan> for ScanView<'a> {
     fn from(scan: &'a Scan) -> Self {
-        let Scan { sensor, time_us, range_m, azimuth_rad, radial_speed_mps, .. } = scan;
-        Self { sensor: *sensor, time_us: *time_us, range_m, azimuth_rad, radial_speed_mps }
+        let Scan { sensor, time_us, range_m, azimuth_rad, radial_speed_mps, elevation_rad, .. } = scan;
+        let detection_time_offset_us = &scan.detection_time_offset_us;
+        let (sensor, time_us) = (*sensor, *time_us);
+        Self {
+            sensor,
+            time_us,
+            range_m,
+            azimuth_rad,
+            radial_speed_mps,
+            elevation_rad,
+            detection_time_offset_us,
+        }
     }
 }
 
@@ -55,6 +82,8 @@ impl ScanView<'_> {
             range_m: self.range_m.to_vec(),
             azimuth_rad: self.azimuth_rad.to_vec(),
             radial_speed_mps: self.radial_speed_mps.to_vec(),
+            elevation_rad: self.elevation_rad.to_vec(),
+            detection_time_offset_us: self.detection_time_offset_us.to_vec(),
             rcs_dbsm: Vec::new(),
         }
     }
@@ -102,6 +131,16 @@ pub enum Error {
         /// The row of the first such value.
         row: usize,
     },
+    /// An elevation beyond straight up or down.
+    #[error(
+        "`elevation_rad` is {value} at row {row}; elevations are radians, positive up, at most a right angle"
+    )]
+    NoElevation {
+        /// The row of the first such value.
+        row: usize,
+        /// The value, as text.
+        value: String,
+    },
 }
 
 impl Scan {
@@ -135,8 +174,13 @@ impl Scan {
             ("range_m", &self.range_m, true),
             ("azimuth_rad", &self.azimuth_rad, true),
             ("radial_speed_mps", &self.radial_speed_mps, false),
+            ("elevation_rad", &self.elevation_rad, false),
             ("rcs_dbsm", &self.rcs_dbsm, false),
         ];
+        let (column, found) = ("detection_time_offset_us", self.detection_time_offset_us.len());
+        if found != expected && found != 0 {
+            return Err(Error::ColumnLength { column, found, expected });
+        }
         for (column, values, required) in columns {
             let found = values.len();
             if found != expected && (required || found != 0) {
@@ -146,8 +190,11 @@ impl Scan {
                 return Err(Error::NotFinite { column, row });
             }
         }
-        match first_row(&self.range_m, |r| r < 0.0) {
-            Some(row) => Err(Error::NegativeRange { row }),
+        if let Some(row) = first_row(&self.range_m, |r| r < 0.0) {
+            return Err(Error::NegativeRange { row });
+        }
+        match first_row(&self.elevation_rad, |elevation| elevation.abs() > FRAC_PI_2) {
+            Some(row) => Err(Error::NoElevation { row, value: self.elevation_rad[row].to_string() }),
             None => Ok(()),
         }
     }
@@ -155,15 +202,23 @@ impl Scan {
     /// Retains the rows for which `keep` is true, in order.
     pub fn retain(&mut self, mut keep: impl FnMut(&Self, usize) -> bool) {
         let retained: Vec<bool> = (0..self.len()).map(|row| keep(self, row)).collect();
-        let filter = |column: &mut Vec<f32>| {
-            let mut rows = retained.iter();
-            column.retain(|_| rows.next().copied().unwrap_or(false));
-        };
-        filter(&mut self.range_m);
-        filter(&mut self.azimuth_rad);
-        filter(&mut self.radial_speed_mps);
-        filter(&mut self.rcs_dbsm);
+        for column in [
+            &mut self.range_m,
+            &mut self.azimuth_rad,
+            &mut self.radial_speed_mps,
+            &mut self.elevation_rad,
+            &mut self.rcs_dbsm,
+        ] {
+            filter(column, &retained);
+        }
+        filter(&mut self.detection_time_offset_us, &retained);
     }
+}
+
+/// Keeps what is retained of a column, which may be empty.
+fn filter<T>(column: &mut Vec<T>, retained: &[bool]) {
+    let mut rows = retained.iter();
+    column.retain(|_| rows.next().copied().unwrap_or(false));
 }
 
 /// The first row for which `wrong` holds.
@@ -202,11 +257,30 @@ mod tests {
         assert_eq!(s.validate(), Err(Error::NegativeRange { row: 2 }));
     }
 
+    /// Catches an elevation in degrees that goes through.
+    #[test]
+    fn elevations_and_times_are_checked() {
+        let mut s = scan();
+        s.elevation_rad = vec![0.1, -2.0, 0.0];
+        assert!(
+            s.validate()
+                .unwrap_err()
+                .to_string()
+                .contains("`elevation_rad` is -2 at row 1; elevations are radians")
+        );
+        s.elevation_rad = vec![0.1, -0.2, 0.0];
+        s.detection_time_offset_us = vec![3];
+        let column = "detection_time_offset_us";
+        assert_eq!(s.validate(), Err(Error::ColumnLength { column, found: 1, expected: 3 }));
+    }
+
     #[test]
     fn retain_filters_every_column_that_is_there() {
         let mut s = scan();
         s.radial_speed_mps = vec![-1.0, -2.0, -3.0];
+        s.detection_time_offset_us = vec![1, 2, 3];
         s.retain(|s, row| s.range_m[row] < 50.0);
+        assert_eq!(s.detection_time_offset_us, [1, 2]);
         assert_eq!(s.range_m, [1.0, 2.0]);
         assert_eq!(s.radial_speed_mps, [-1.0, -2.0]);
         assert!(s.rcs_dbsm.is_empty());

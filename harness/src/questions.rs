@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use anyhow::{Context, bail};
 use echofix_client::drivelog::{DriveEvent, replay};
 use echofix_client::vehicle::{LocalizationQuestion, NotReady, Vehicle, VehicleConfig};
+use echofix_core::convention::{Finding, in_words};
 use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::gate::{Gate, MAX_RANGE_M};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -28,13 +30,16 @@ pub struct QuestionPlan {
     pub sigma: PriorSigma,
     /// Seed of their errors.
     pub seed: u64,
+    /// Farther detections are dropped on the vehicle, metres.
+    pub max_range_m: f64,
 }
 
 impl QuestionPlan {
     /// Batches of 5 s and one of the paper's priors each.
     #[must_use]
     pub fn every(every_s: f64, seed: u64) -> Self {
-        Self { every_s, batch_s: 5.0, warm_up_s: 5.0, priors: 1, sigma: PriorSigma::PAPER, seed }
+        let (sigma, max_range_m) = (PriorSigma::PAPER, MAX_RANGE_M);
+        Self { every_s, batch_s: 5.0, warm_up_s: 5.0, priors: 1, sigma, seed, max_range_m }
     }
 }
 
@@ -55,6 +60,8 @@ pub struct DriveQuestions {
     pub not_asked: BTreeMap<String, usize>,
     /// Detections that the vehicle's gates left out.
     pub left_out: LeftOut,
+    /// What seems to be in another convention than the contract's.
+    pub findings: Vec<Finding>,
     /// Where the vehicle truly was.
     pub truth: Truth,
 }
@@ -72,7 +79,8 @@ impl DriveQuestions {
                 drive.vehicle
             )
         })?;
-        let config = VehicleConfig { window_s: plan.batch_s, ..VehicleConfig::default() };
+        let gate = Gate { max_range_m: plan.max_range_m, ..Gate::default() };
+        let config = VehicleConfig { window_s: plan.batch_s, gate, ..VehicleConfig::default() };
         let mut vehicle = Vehicle::new(config, drive.mounts.clone());
         let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
         let mut questions: Vec<TruthQuestion> = Vec::new();
@@ -106,10 +114,12 @@ impl DriveQuestions {
             }
             next_us = now_us + (plan.every_s * 1e6) as i64;
         }
+        let findings = vehicle.findings();
         if questions.is_empty() {
-            bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}", drive.vehicle);
+            let told = in_words(&findings);
+            bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}. {told}", drive.vehicle);
         }
-        Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), truth })
+        Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), findings, truth })
     }
 
     /// Number of questions, at least one.
@@ -133,6 +143,7 @@ fn word(reason: &NotReady) -> &'static str {
         NotReady::NoOdometry => "no odometry",
         NotReady::TooSlow { .. } => "too slow",
         NotReady::NoDetections => "no detections",
+        NotReady::AllMoving(_) => "all moving",
         NotReady::NoPrior => "no prior",
         NotReady::OffTheMap(_) => "off the map",
     }

@@ -4,7 +4,8 @@ use std::fmt;
 
 use anyhow::bail;
 use echofix_client::drivelog::{DriveEvent, replay};
-use echofix_client::upload::{PreparedUpload, Recorder, RecorderConfig};
+use echofix_client::upload::{FinishedTrip, PreparedUpload, Recorder, RecorderConfig};
+use echofix_core::convention::Finding;
 use echofix_core::drive::Drive;
 use echofix_core::gate::Dropped;
 use serde::Serialize;
@@ -16,6 +17,8 @@ pub struct LeftOut {
     pub moving: u64,
     /// Farther than the maximum range.
     pub too_far: u64,
+    /// Too low, too high or too steep, by their elevation.
+    pub off_height: u64,
     /// Taken below the minimum speed.
     pub too_slow: u64,
     /// Taken from no pose, or from one that is not known well enough.
@@ -24,18 +27,19 @@ pub struct LeftOut {
 
 impl From<Dropped> for LeftOut {
     fn from(dropped: Dropped) -> Self {
-        let Dropped { too_slow, too_far, moving, without_pose } = dropped;
-        Self { moving, too_far, too_slow, without_pose }
+        let Dropped { too_slow, too_far, off_height, moving, without_pose } = dropped;
+        Self { moving, too_far, off_height, too_slow, without_pose }
     }
 }
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { moving, too_far, too_slow, without_pose } = self;
+        let Self { moving, too_far, off_height, too_slow, without_pose } = self;
         write!(
             f,
             "{moving} moving, {too_far} too far, {too_slow} taken too slowly, {without_pose} without a good pose"
-        )
+        )?;
+        if *off_height > 0 { write!(f, ", {off_height} too low or too high") } else { Ok(()) }
     }
 }
 
@@ -51,6 +55,8 @@ pub struct RecordedDrive {
     pub uploads: Vec<PreparedUpload>,
     /// Detections that are in none of them.
     pub left_out: LeftOut,
+    /// What seems to be in another convention than the contract's.
+    pub findings: Vec<Finding>,
 }
 
 /// Records a drive as its vehicle would.
@@ -74,7 +80,7 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
             DriveEvent::Truth(_) => {}
         }
     }
-    let (last, dropped) = recorder.finish();
-    uploads.extend(last);
-    Ok(RecordedDrive { uploads, left_out: dropped.into() })
+    let FinishedTrip { upload, dropped, findings } = recorder.finish();
+    uploads.extend(upload);
+    Ok(RecordedDrive { uploads, left_out: dropped.into(), findings })
 }

@@ -26,6 +26,8 @@ pub struct ReplayedDrive {
     pub not_asked: BTreeMap<String, usize>,
     /// Detections that the vehicle's gates left out.
     pub left_out: LeftOut,
+    /// What seems to be in another convention than the contract's, in words.
+    pub findings: Vec<String>,
 }
 
 /// A localizer that waits patiently: a replay asks faster than any vehicle.
@@ -71,10 +73,11 @@ pub async fn ask(
         fixes.insert(index, FixRecord::of(&asked, index, answer, round_trip_ms));
         bar.inc(1);
     }
-    let DriveQuestions { not_asked, left_out, .. } = &*asked;
+    let DriveQuestions { not_asked, left_out, findings, .. } = &*asked;
     Ok(ReplayedDrive {
         fixes: fixes.into_values().collect(),
         not_asked: not_asked.clone(),
         left_out: *left_out,
+        findings: findings.iter().map(ToString::to_string).collect(),
     })
 }

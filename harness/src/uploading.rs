@@ -31,6 +31,8 @@ pub struct UploadedDrive {
     pub bytes: u64,
     /// Detections left out.
     pub left_out: LeftOut,
+    /// What seems to be in another convention than the contract's, in words.
+    pub findings: Vec<String>,
 }
 
 /// Uploads a drive and waits until the service has it.
@@ -44,10 +46,11 @@ pub async fn upload(
     config: RecorderConfig,
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    let RecordedDrive { uploads, left_out } = record(drive, config)?;
+    let RecordedDrive { uploads, left_out, findings } = record(drive, config)?;
+    let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
     let spool = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
     let uploader = Uploader::start(ServiceAddress::at(server).endpoint()?, spool, UploaderOptions::default());
-    let mut done = UploadedDrive { left_out, ..UploadedDrive::default() };
+    let mut done = UploadedDrive { left_out, findings, ..UploadedDrive::default() };
     bar.inc_length(uploads.len() as u64);
     for upload in uploads {
         done.detections += upload.detections() as u64;
@@ -63,9 +66,10 @@ pub async fn upload(
         match progress.last_error {
             Some(reason) => bail!("the service refused every upload of `{}`: {reason}", drive.vehicle),
             None => bail!(
-                "nothing of the drive of `{}` can be mapped; left out: {}",
+                "nothing of the drive of `{}` can be mapped; left out: {}. {}",
                 drive.vehicle,
-                done.left_out
+                done.left_out,
+                done.findings.join("; ")
             ),
         }
     }

@@ -80,7 +80,7 @@ pub fn upload(id: Uuid, contributor: &str, time_us: i64, contribution: &Evidence
         upload_id: id.to_string(),
         contributor: contributor.to_owned(),
         reference_time_us: time_us,
-        mounts: Vec::new(),
+        ..UploadHeader::default()
     };
     let chunk = |piece: &[u8]| EvidenceChunk {
         contribution: piece.to_vec(),

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use echofix_client::drivelog;
+use echofix_core::gate::MAX_RANGE_M;
 use echofix_harness::fix_record::FixRecord;
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::prior::PriorSigma;
@@ -46,6 +47,9 @@ pub struct Args {
     /// Seed of the random priors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Largest range of a detection, metres. Farther ones are dropped. The service has its own limit, `radar.max_range_m`.
+    #[arg(long, default_value_t = MAX_RANGE_M)]
+    max_range_m: f64,
     /// Requests that wait for their fixes at the same time.
     #[arg(long, default_value_t = 2)]
     at_once: usize,
@@ -71,6 +75,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
         sigma: PriorSigma { position_m: args.sigma_position_m, yaw_rad: args.sigma_yaw_deg.to_radians() },
         seed: args.seed,
         warm_up_s: args.warm_up_s,
+        max_range_m: args.max_range_m,
     };
     let localizer = patient_localizer(&args.server)?;
     let bar = progress::bar("localizing", 0, json);
@@ -81,10 +86,16 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     }
     let summary = replay.summary();
     if json {
-        println!("{}", serde_json::json!({ "summary": summary, "fixes": replay.fixes }));
+        println!(
+            "{}",
+            serde_json::json!({ "summary": summary, "fixes": replay.fixes, "findings": replay.findings })
+        );
     } else {
         print_fixes(&replay.fixes);
         print_summary(&summary);
+        for finding in &replay.findings {
+            println!("suspicious: {finding}");
+        }
     }
     Ok(())
 }

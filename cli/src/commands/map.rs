@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use echofix_client::drivelog;
 use echofix_client::upload::{RecorderConfig, UploadForm};
-use echofix_core::gate::Gate;
+use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_harness::progress;
 use echofix_harness::uploading::{UploadedDrive, upload};
 
@@ -58,8 +58,9 @@ pub struct Args {
     /// Use only these scans of each log, counted from 1, like 1-9.
     #[arg(long)]
     scans: Option<ScanRange>,
-    /// Largest range of a detection, metres. Farther ones are dropped.
-    #[arg(long, default_value_t = 50.0)]
+    /// Largest range of a detection, metres. Farther ones are dropped. Raw uploads (--raw) are held against the service's
+    /// `radar.max_range_m`, too.
+    #[arg(long, default_value_t = MAX_RANGE_M)]
     max_range_m: f64,
     /// Largest standard deviation of a pose's position, metres. Less certain poses add nothing to the map. The service
     /// has its own limit, `mapping.max_sigma_position_m`.
@@ -118,6 +119,9 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
         done.bytes / 1000
     );
     println!("  left out: {}", done.left_out);
+    for finding in &done.findings {
+        println!("  suspicious: {finding}");
+    }
     if done.duplicates + done.refused > 0 {
         println!(
             "  {} were known to the service already, {} were refused (see refused/ in the spool)",

@@ -9,21 +9,18 @@ use echofix_proto::v1;
 
 /// The geometry of scans.
 pub(crate) fn scans(message: &v1::Scans, reference_time_us: i64) -> Vec<Scan> {
-    let (mut ranges, mut azimuths) = (&message.range_m[..], &message.azimuth_rad[..]);
-    let mut take = |count: u32| {
-        let (range_m, rest) = ranges.split_at(count as usize);
-        let (azimuth_rad, others) = azimuths.split_at(count as usize);
-        (ranges, azimuths) = (rest, others);
-        (range_m.to_vec(), azimuth_rad.to_vec())
-    };
+    let mut from = 0;
     let rows = message.sensor.iter().zip(&message.time_offset_us).zip(&message.detection_count);
     let scan = |((sensor, offset_us), count): ((&u32, &i64), &u32)| {
-        let (range_m, azimuth_rad) = take(*count);
+        let rows = from..from + *count as usize;
+        from = rows.end;
         Scan {
             sensor: *sensor as usize,
             time_us: reference_time_us + offset_us,
-            range_m,
-            azimuth_rad,
+            range_m: message.range_m[rows.clone()].to_vec(),
+            azimuth_rad: message.azimuth_rad[rows.clone()].to_vec(),
+            elevation_rad: message.elevation_rad.get(rows.clone()).unwrap_or_default().to_vec(),
+            detection_time_offset_us: message.detection_time_offset_us.get(rows).unwrap_or_default().to_vec(),
             ..Scan::default()
         }
     };

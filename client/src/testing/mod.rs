@@ -27,13 +27,17 @@ fn optional(len: usize) -> impl Strategy<Value = Vec<f32>> {
 
 fn any_scan(sensors: usize) -> impl Strategy<Value = Scan> {
     (0..sensors, 0..20_usize).prop_flat_map(|(sensor, n)| {
-        (vec(0.0_f32..200.0, n), column(n), optional(n), optional(n)).prop_map(
-            move |(range_m, azimuth_rad, radial_speed_mps, rcs_dbsm)| Scan {
+        let elevations = prop_oneof![Just(Vec::new()), vec(-1.5_f32..1.5, n)];
+        let times = prop_oneof![Just(Vec::new()), vec(-300_000..300_000_i32, n)];
+        (vec(0.0_f32..200.0, n), column(n), optional(n), optional(n), elevations, times).prop_map(
+            move |(range_m, azimuth_rad, radial_speed_mps, rcs_dbsm, elevation_rad, times)| Scan {
                 sensor,
                 time_us: 0,
                 range_m,
                 azimuth_rad,
                 radial_speed_mps,
+                elevation_rad,
+                detection_time_offset_us: times,
                 rcs_dbsm,
             },
         )

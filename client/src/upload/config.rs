@@ -18,7 +18,8 @@ pub enum UploadForm {
 /// What is recorded, and how it is split.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecorderConfig {
-    /// Which detections pass.
+    /// Which detections pass. The service holds scans, but not evidence, against a limit of the range of its own
+    /// (`radar.max_range_m`).
     pub gate: Gate,
     /// What is sent.
     pub form: UploadForm,

@@ -1,7 +1,9 @@
 //! One upload: a part of a drive under one id.
 
+use echofix_core::convention::Finding;
 use echofix_core::drive::GeoPose;
 use echofix_core::evidence::{EvidenceDelta, codec};
+use echofix_core::gate::Dropped;
 use echofix_core::scan::{Mount, Scan};
 use echofix_core::tile::DecodeError;
 use echofix_proto::v1;
@@ -39,6 +41,7 @@ impl PreparedUpload {
             contributor: contributor.to_owned(),
             reference_time_us,
             mounts: mounts.iter().map(wire::mount).collect(),
+            ..v1::UploadHeader::default()
         };
         Self { id, parts: vec![v1::UploadRequest { part: Some(Part::Header(header)) }] }
     }
@@ -75,6 +78,14 @@ impl PreparedUpload {
         for piece in bytes.chunks(CHUNK_BYTES) {
             let chunk = v1::EvidenceChunk { contribution: piece.to_vec(), sigma_position_m, sigma_yaw_rad };
             self.parts.push(v1::UploadRequest { part: Some(Part::Evidence(chunk)) });
+        }
+    }
+
+    /// Says what the vehicle left out of it, and what it suspects of its own data.
+    pub(crate) fn tell(&mut self, dropped: &Dropped, findings: &[Finding]) {
+        if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
+            header.dropped = (dropped.total() > 0).then(|| wire::dropped(dropped));
+            header.suspected = wire::suspected(findings);
         }
     }
 

@@ -19,6 +19,6 @@ mod uploader;
 
 pub use config::{RecorderConfig, UploadForm};
 pub use contents::{DamagedUpload, PreparedUpload};
-pub use recorder::{Error, Recorder};
+pub use recorder::{Error, FinishedTrip, Recorder};
 pub use spool::Spool;
 pub use uploader::{FlushError, UploadProgress, Uploader, UploaderOptions};

@@ -1,5 +1,6 @@
 //! Splits a drive into uploads.
 
+use echofix_core::convention::{Finding, Inspection};
 use echofix_core::drive::GeoPose;
 use echofix_core::drive::segment::usable_segments;
 use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
@@ -7,6 +8,7 @@ use echofix_core::gate::Dropped;
 use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
+use echofix_core::scan::slices::slices;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_core::time::DAY_US;
 
@@ -68,6 +70,20 @@ pub struct Recorder {
     /// Where the trip began, until it is left behind.
     start: Option<GeoPose>,
     dropped: Dropped,
+    /// Of what was left out, what the last upload told.
+    told: Dropped,
+    inspection: Inspection,
+}
+
+/// What is known at the end of a trip.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FinishedTrip {
+    /// What was left to upload.
+    pub upload: Option<PreparedUpload>,
+    /// Detections left out of the whole trip, by the reason.
+    pub dropped: Dropped,
+    /// What seems to be in another convention than the contract's; show it to whoever installed the vehicle.
+    pub findings: Vec<Finding>,
 }
 
 impl Recorder {
@@ -88,6 +104,8 @@ impl Recorder {
             odometry: Trajectory::default(),
             start: None,
             dropped: Dropped::default(),
+            told: Dropped::default(),
+            inspection: Inspection::default(),
         })
     }
 
@@ -109,8 +127,15 @@ impl Recorder {
             self.dropped.without_pose += scan.len() as u64;
             return Err(Error::TooLate { time_us, cut_us });
         }
-        let at = self.scans.partition_point(|s| s.time_us <= time_us);
-        self.scans.insert(at, scan);
+        let cut_us = self.poses.first().map_or(i64::MIN, |(pose, _)| pose.time_us);
+        for slice in slices(&(&scan).into()) {
+            if slice.time_us < cut_us {
+                count_lost(&mut self.dropped, &slice);
+                continue;
+            }
+            let at = self.scans.partition_point(|s| s.time_us <= slice.time_us);
+            self.scans.insert(at, slice);
+        }
         self.forget_scans_without_poses();
         Ok(())
     }
@@ -121,7 +146,9 @@ impl Recorder {
     /// # Errors
     /// When the time does not increase or the pose is not finite.
     pub fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {
-        Ok(self.odometry.push(time_us, pose)?)
+        self.odometry.push(time_us, pose)?;
+        self.inspection.roll(time_us, &pose);
+        Ok(())
     }
 
     /// Takes the next reference pose; returns an upload when one is complete.
@@ -131,6 +158,9 @@ impl Recorder {
     pub fn push_pose(&mut self, pose: GeoPose) -> Result<Option<PreparedUpload>, Error> {
         check(&pose)?;
         self.append(pose)?;
+        if self.config.segments().allows(&pose) {
+            self.inspection.pass(&pose);
+        }
         if let Some(start) = self.start {
             if ground_m(&start, &pose) < self.config.trim_ends_m {
                 self.forget_before(self.poses.len() - 1);
@@ -152,10 +182,10 @@ impl Recorder {
         Ok(if complete { self.cut_at(cut) } else { None })
     }
 
-    /// Ends the trip; returns what is left of it, and the detections left out of the whole trip, by the reason. They are
+    /// Ends the trip; returns what is left of it, and what was left out or is wrong in the whole trip. That is
     /// known only now: what the last upload leaves out is gated when it is made.
     #[must_use]
-    pub fn finish(mut self) -> (Option<PreparedUpload>, Dropped) {
+    pub fn finish(mut self) -> FinishedTrip {
         let never_left = self.start.is_some_and(|_| self.config.trim_ends_m > 0.0);
         let last = if self.poses.is_empty() || never_left {
             None
@@ -167,7 +197,13 @@ impl Recorder {
         for scan in &self.scans {
             count_lost(&mut self.dropped, scan);
         }
-        (last, self.dropped)
+        FinishedTrip { upload: last, dropped: self.dropped, findings: self.inspection.findings() }
+    }
+
+    /// What seems to be in another convention than the contract's, so far.
+    #[must_use]
+    pub fn findings(&self) -> Vec<Finding> {
+        self.inspection.findings()
     }
 
     /// Detections left out since the beginning, by the reason.
@@ -206,13 +242,31 @@ impl Recorder {
         for segment in usable_segments(&poses, &self.config.segments()) {
             let scans = take_within(&mut self.scans, segment);
             let (mounts, config) = (&self.mounts, &self.config);
-            let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, &mut self.dropped);
+            let (dropped, inspection) = (&mut self.dropped, &mut self.inspection);
+            let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, dropped, inspection);
             raw.chunks.push(Chunk { poses: segment.to_vec(), scans });
         }
-        let upload = self.upload_of(raw, first_us);
+        let mut upload = if self.is_misread() { self.withheld(&raw) } else { self.upload_of(raw, first_us) };
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
+        if let Some(upload) = &mut upload {
+            upload.tell(&self.dropped.since(&self.told), &self.inspection.findings());
+        }
+        self.told = self.dropped;
         upload
+    }
+
+    /// Is something of the whole trip in another convention, whatever a part of it shows? Movers are told, and left to the service.
+    fn is_misread(&self) -> bool {
+        self.inspection.findings().iter().any(|finding| !matches!(finding, Finding::Moving { .. }))
+    }
+
+    /// Counts the detections of a part that is not sent.
+    fn withheld(&mut self, raw: &RawUpload) -> Option<PreparedUpload> {
+        raw.chunks.iter().flat_map(|chunk| &chunk.scans).for_each(|scan| {
+            count_lost(&mut self.dropped, scan);
+        });
+        None
     }
 
     /// The upload in the form that is sent; `None` when nothing is left to map.

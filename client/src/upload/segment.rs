@@ -1,5 +1,6 @@
 //! The gate on the segments of a drive.
 
+use echofix_core::convention::Inspection;
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::{Dropped, gate_scan};
 use echofix_core::geo::{self, Grid};
@@ -8,7 +9,7 @@ use echofix_core::scan::{Mount, Scan};
 
 use super::config::RecorderConfig;
 
-/// The detections within a segment that can be mapped; `odometry`, where it covers a scan, gives the velocity
+/// The detections within a segment that can be mapped, on the ground; the inspection sees all of them. `odometry`, where it covers a scan, gives the velocity
 /// more accurately than the poses' differences do.
 pub(super) fn gated(
     segment: &[GeoPose],
@@ -17,6 +18,7 @@ pub(super) fn gated(
     odometry: &Trajectory,
     config: &RecorderConfig,
     dropped: &mut Dropped,
+    inspection: &mut Inspection,
 ) -> Vec<Scan> {
     let way = on_the_grid(segment).unwrap_or_default();
     let velocity = |time_us: i64| -> Option<BodyVelocity> {
@@ -26,6 +28,9 @@ pub(super) fn gated(
     let mut gated = scans.to_vec();
     for scan in &mut gated {
         let velocity = velocity(scan.time_us);
+        if let Some(velocity) = velocity {
+            inspection.see(&(&*scan).into(), &mounts[scan.sensor], velocity);
+        }
         dropped.add(&gate_scan(scan, &mounts[scan.sensor], velocity, &config.gate));
     }
     gated.retain(|scan| !scan.is_empty());

@@ -8,7 +8,8 @@ use echofix_core::gate::Gate;
 pub struct VehicleConfig {
     /// Length of the sliding window, seconds: what a batch spans (paper, Sec. "Test procedure").
     pub window_s: f64,
-    /// Which detections pass.
+    /// Which detections pass. Beyond the service's own limit of the range (`radar.max_range_m`) they are sent for
+    /// nothing.
     pub gate: Gate,
     /// Scans between odometry poses farther apart than this are dropped, seconds: their position
     /// would be a guess.

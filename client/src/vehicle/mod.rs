@@ -19,6 +19,7 @@ mod window;
 pub use config::{AlertLimits, DriftModel, VehicleConfig};
 pub use verdict::{Fix, Rejection};
 
+use echofix_core::convention::Finding;
 use echofix_core::doppler::dedrift::dedrifted;
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::GeoPose;
@@ -89,6 +90,9 @@ pub enum NotReady {
     /// The window holds no detections.
     #[error("the window holds no detections; are the radars running?")]
     NoDetections,
+    /// All detections of the window were dropped as moving.
+    #[error("{0}")]
+    AllMoving(Finding),
     /// Nothing is known of where the vehicle is.
     #[error("there is no rough pose to search around; push one, from GNSS or the last trip")]
     NoPrior,
@@ -197,7 +201,7 @@ impl Vehicle {
                 Some(speed_mps) if speed_mps < self.config.gate.min_speed_mps => {
                     NotReady::TooSlow { speed_mps }
                 }
-                _ => NotReady::NoDetections,
+                _ => self.mostly_moving(0).map_or(NotReady::NoDetections, NotReady::AllMoving),
             });
         };
         let time_us = last.time_us;
@@ -257,6 +261,18 @@ impl Vehicle {
         self.window.dropped()
     }
 
+    /// What seems to be in another convention than the contract's, by all scans and odometry so far: show it to whoever
+    /// installed the vehicle.
+    #[must_use]
+    pub fn findings(&self) -> Vec<Finding> {
+        self.window.inspection().findings()
+    }
+
+    /// The finding that the window's movers outnumber what stands.
+    fn mostly_moving(&self, standing: u64) -> Option<Finding> {
+        self.window.inspection().mostly_moving(self.window.dropped_lately().moving, standing)
+    }
+
     /// Forgets the pose believed, not the window: for a vehicle whose other sensors contradict it.
     pub fn forget_position(&mut self) {
         (self.anchor, self.ahead, self.last_fix_us) = (None, None, None);
@@ -268,6 +284,8 @@ impl Vehicle {
             mounts: self.window.mounts().iter().map(wire::mount).collect(),
             scans: Some(wire::scans(self.window.scans(), to_us)),
             odometry: Some(wire::odometry(poses.iter(), to_us)),
+            dropped: Some(wire::dropped(&self.window.dropped_lately())),
+            suspected: wire::suspected(&self.findings()),
         }
     }
 

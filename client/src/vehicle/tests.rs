@@ -139,3 +139,85 @@ fn poses_that_are_none_are_refused() {
     }
     assert!(matches!(vehicle.push_pose(gnss(T0 - 1, 1.0, 0.1)), Err(Error::TooLate { .. })));
 }
+
+/// Catches one scan on odometry's newest pose that is sent with that pose alone: it has no velocity, and the service counts
+/// the vehicle as standing.
+#[test]
+fn one_scan_on_the_newest_odometry_pose_has_a_speed() {
+    let config = VehicleConfig { window_s: 0.01, ..VehicleConfig::default() };
+    let mut vehicle = Vehicle::new(config, vec![Mount::IDENTITY]);
+    drive(&mut vehicle, 10.0, 0, 20);
+    vehicle.push_pose(gnss(T0 + 2_000_000, 2.0, 0.02)).unwrap();
+    let batch = vehicle.question().unwrap().request.batch.unwrap();
+    let (scans, odometry) = (batch.scans.unwrap(), batch.odometry.unwrap());
+    assert_eq!((scans.sensor.len(), &odometry.time_offset_us[..]), (1, &[-100_000, 0][..]));
+    let way = crate::testing::decode::odometry(&odometry, batch.reference_time_us);
+    assert!((way.velocity_at(batch.reference_time_us).unwrap().forward_mps - 10.0).abs() < 1e-9);
+}
+
+/// Catches a vehicle that sends slant ranges, or a turn of a spinning radar as if it was taken at once.
+#[test]
+fn what_is_sent_lies_on_the_ground_at_its_own_time() {
+    let mut vehicle = driven(10.0, 6);
+    let scan = Scan {
+        time_us: T0 + 5_950_000,
+        range_m: vec![10.0, 20.0],
+        azimuth_rad: vec![0.1, 0.2],
+        radial_speed_mps: vec![-9.9 * 0.98, -9.8 * 0.98],
+        elevation_rad: vec![0.2, 0.2],
+        detection_time_offset_us: vec![-100_000, 25_000],
+        ..Scan::default()
+    };
+    vehicle.push_scan(scan).unwrap();
+    vehicle.push_pose(gnss(T0 + 6_000_000, 2.0, 0.02)).unwrap();
+    let scans = vehicle.question().unwrap().request.batch.unwrap().scans.unwrap();
+    assert!(scans.elevation_rad.is_empty() && scans.detection_time_offset_us.is_empty());
+    let at = |offset_us: i64| {
+        let scans = crate::testing::decode::scans(&scans, 0);
+        scans.into_iter().find(|scan| scan.time_us == offset_us).unwrap().range_m[0]
+    };
+    assert!(
+        (at(-150_000) - 10.0 * 0.2_f32.cos()).abs() < 1e-4
+            && (at(-25_000) - 20.0 * 0.2_f32.cos()).abs() < 1e-4
+    );
+}
+
+/// Drives 6 s between posts whose radial speeds are spoiled.
+fn driven_past_posts(spoil: fn(f32) -> f32) -> Vehicle {
+    let mut vehicle = Vehicle::new(VehicleConfig::default(), vec![Mount::IDENTITY]);
+    for i in 0..=60 {
+        let time_us = T0 + i * 100_000;
+        vehicle.push_odometry(time_us, Pose2::new(i as f64, 0.0, 0.0)).unwrap();
+        let azimuth_rad: Vec<f32> = (0..20).map(|post| 0.1 * post as f32 - 1.0).collect();
+        let radial_speed_mps = azimuth_rad.iter().map(|a| spoil(-10.0 * a.cos())).collect();
+        let scan =
+            Scan { time_us, range_m: vec![20.0; 20], azimuth_rad, radial_speed_mps, ..Scan::default() };
+        vehicle.push_scan(scan).unwrap();
+    }
+    vehicle
+}
+
+/// Catches a vehicle that asks "are the radars running?" where the sign of their radial speeds is wrong, and requests that
+/// do not tell the service.
+#[test]
+fn radial_speeds_in_another_convention_are_asked_for() {
+    assert_eq!(driven_past_posts(|v| v).findings(), []);
+    let error = driven_past_posts(|v| -v).question().unwrap_err();
+    let question =
+        "100 % of the returns were dropped as moving: is the radial speed positive away from the sensor?";
+    assert_eq!(error.to_string(), question);
+    // Some stands still: the batch is sent, and tells.
+    let mut vehicle = driven_past_posts(|v| -v);
+    vehicle
+        .push_scan(Scan {
+            time_us: T0 + 6_000_000,
+            range_m: vec![9.0; 3],
+            azimuth_rad: vec![0.1; 3],
+            ..Scan::default()
+        })
+        .unwrap();
+    vehicle.push_pose(gnss(T0 + 6_000_000, 2.0, 0.02)).unwrap();
+    let batch = vehicle.question().unwrap().request.batch.unwrap();
+    assert_eq!(batch.suspected, [v1::Convention::RadialSpeedTowards as i32]);
+    assert_eq!(batch.dropped.unwrap().moving, 51 * 20);
+}

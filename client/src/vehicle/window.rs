@@ -1,8 +1,12 @@
 //! The sliding window: odometry, and the gated scans it covers.
 
+use std::collections::VecDeque;
+
+use echofix_core::convention::Inspection;
 use echofix_core::gate::{Dropped, gate_scan};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
+use echofix_core::scan::slices::slices;
 use echofix_core::scan::{Mount, Scan};
 
 use super::{Error, VehicleConfig};
@@ -20,6 +24,9 @@ pub(super) struct ScanWindow {
     /// Gated scans, oldest first.
     gated: Vec<Scan>,
     dropped: Dropped,
+    /// What was dropped of the window's scans, with their times.
+    dropped_lately: VecDeque<(i64, Dropped)>,
+    inspection: Inspection,
 }
 
 impl ScanWindow {
@@ -32,6 +39,8 @@ impl ScanWindow {
             waiting: Vec::new(),
             gated: Vec::new(),
             dropped: Dropped::default(),
+            dropped_lately: VecDeque::new(),
+            inspection: Inspection::default(),
         }
     }
 
@@ -51,7 +60,13 @@ impl ScanWindow {
         if time_us < self.oldest_us() {
             return Err(Error::TooLate { time_us, oldest_us: self.oldest_us() });
         }
-        insert(&mut self.waiting, scan);
+        for slice in slices(&(&scan).into()) {
+            if slice.time_us < self.oldest_us() {
+                self.dropped.without_pose += slice.len() as u64;
+            } else {
+                insert(&mut self.waiting, slice);
+            }
+        }
         self.settle();
         Ok(())
     }
@@ -59,6 +74,7 @@ impl ScanWindow {
     pub(super) fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {
         let last = self.odometry.last();
         self.odometry.push(time_us, pose)?;
+        self.inspection.roll(time_us, &pose);
         if let Some((last_us, last)) = last {
             self.travelled_m += last.distance_m(&pose);
             if time_us - last_us > micros(self.config.max_odometry_gap_s) {
@@ -68,6 +84,7 @@ impl ScanWindow {
         self.settle();
         let oldest_us = self.oldest_us();
         self.gated.retain(|scan| scan.time_us >= oldest_us);
+        self.dropped_lately.retain(|(time_us, _)| *time_us >= oldest_us);
         self.odometry.trim_before(oldest_us);
         Ok(())
     }
@@ -88,6 +105,18 @@ impl ScanWindow {
     /// Detections dropped since the beginning, by the reason.
     pub(super) fn dropped(&self) -> Dropped {
         self.dropped
+    }
+
+    /// Detections dropped of the scans in the window, by the reason.
+    pub(super) fn dropped_lately(&self) -> Dropped {
+        let mut all = Dropped::default();
+        self.dropped_lately.iter().for_each(|(_, dropped)| all.add(dropped));
+        all
+    }
+
+    /// What the scans and the odometry say of themselves.
+    pub(super) fn inspection(&self) -> &Inspection {
+        &self.inspection
     }
 
     /// The odometry pose at a time, and the metres travelled until then.
@@ -123,7 +152,14 @@ impl ScanWindow {
         for mut scan in self.waiting.drain(..covered) {
             let velocity = self.odometry.velocity_at(scan.time_us);
             let mount = &self.mounts[scan.sensor];
-            self.dropped.add(&gate_scan(&mut scan, mount, velocity, &self.config.gate));
+            if let Some(velocity) = velocity {
+                self.inspection.see(&(&scan).into(), mount, velocity);
+            }
+            let dropped = gate_scan(&mut scan, mount, velocity, &self.config.gate);
+            self.dropped.add(&dropped);
+            if dropped.total() > 0 {
+                self.dropped_lately.push_back((scan.time_us, dropped));
+            }
             if !scan.is_empty() {
                 // Geometry is sent, and radial speeds correct the odometry; do not hold the rest.
                 scan.rcs_dbsm = Vec::new();

@@ -1,6 +1,7 @@
 //! Around which pose to search, and how.
 
 use super::drift::DriftPrior;
+use crate::gate::MAX_RANGE_M;
 use crate::pose::{Pose2, wrap_angle};
 
 /// How to search. The defaults are the paper's (Sec. "Test procedure").
@@ -26,7 +27,7 @@ impl Default for Search {
         Self {
             sigmas: 3.0,
             yaw_step_rad: 1_f64.to_radians(),
-            extent_m: 50.0,
+            extent_m: MAX_RANGE_M,
             candidates: 5,
             separation_m: 1.0,
             drift: DriftPrior::default(),

@@ -166,6 +166,24 @@ mod tests {
         }
     }
 
+    /// Two detections of the same post, a second apart in one scan. Catches evidence that places them from one pose, and
+    /// evidence that changes by times that are all zero.
+    #[test]
+    fn detections_of_one_scan_are_placed_from_where_each_was_taken() {
+        let scan = |offsets: Vec<i32>| Scan {
+            time_us: 1_000_000,
+            range_m: vec![30.0, 20.0],
+            azimuth_rad: vec![0.0; 2],
+            detection_time_offset_us: offsets,
+            ..Scan::default()
+        };
+        let cells = |delta: &EvidenceDelta| delta.tiles.values().map(|tile| tile.cells.len()).sum::<usize>();
+        let (timed, _) = contribute(&[scan(vec![0, 1_000_000])], 1.0);
+        let (plain, _) = contribute(&[scan(vec![])], 1.0);
+        assert_eq!((cells(&timed), cells(&plain)), (1, 2));
+        assert_eq!(contribute(&[scan(vec![0, 0])], 1.0).0, plain);
+    }
+
     #[test]
     fn scans_become_cells_with_the_grids_scale_applied() {
         let scan = Scan {

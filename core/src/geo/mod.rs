@@ -22,7 +22,9 @@ pub use zone::{Zone, zones_near};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// Not a position on the globe.
-    #[error("latitude {lat_deg}, longitude {lon_deg} is not a position in degrees")]
+    #[error(
+        "latitude {lat_deg}, longitude {lon_deg} is not a position in degrees; are latitude and longitude exchanged?"
+    )]
     NotAPosition {
         /// Degrees north, as given.
         lat_deg: f64,
@@ -30,7 +32,9 @@ pub enum Error {
         lon_deg: f64,
     },
     /// UTM ends near the poles.
-    #[error("latitude {lat_deg} lies outside UTM, which covers 80 degrees south to 84 degrees north")]
+    #[error(
+        "latitude {lat_deg} lies outside UTM, which covers 80 degrees south to 84 degrees north; are latitude and longitude exchanged?"
+    )]
     OutsideUtm {
         /// Degrees north, as given.
         lat_deg: f64,

@@ -66,6 +66,8 @@ pub struct Config {
     pub http: ListenConfig,
     /// The data directory and its sizes.
     pub store: StoreConfig,
+    /// What holds for uploads and requests alike.
+    pub radar: RadarConfig,
     /// What an upload must fulfil.
     pub mapping: MappingConfig,
     /// How fixes are computed.
@@ -94,6 +96,14 @@ pub struct StoreConfig {
     pub cache_mib: u64,
     /// Size from which a journal segment is followed by the next, MiB.
     pub segment_mib: u64,
+}
+
+/// What holds for uploads and requests alike.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RadarConfig {
+    /// Farther detections are left out, metres; and how far the map is read around a prior.
+    pub max_range_m: f64,
 }
 
 /// What one client may take of the service.
@@ -199,8 +209,14 @@ impl Config {
         for (key, value) in &sources.settings {
             layers.set(key, value, &format!("--set {key}"))?;
         }
-        let config: Self = layers.read()?;
+        let mut config: Self = layers.read()?;
         config.check()?;
+        let Self { radar, mapping, locating, .. } = &mut config;
+        for max_range_m in [&mut mapping.max_range_m, &mut locating.max_range_m] {
+            if *max_range_m <= 0.0 {
+                *max_range_m = radar.max_range_m;
+            }
+        }
         Ok(config)
     }
 

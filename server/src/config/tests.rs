@@ -44,6 +44,25 @@ fn later_layers_win() {
     assert!((config.mapping.max_range_m - 60.0).abs() < 1e-12);
 }
 
+/// Catches a limit of the range that is set in one place and not honoured in another.
+#[test]
+fn one_key_limits_the_range_of_uploads_and_requests() {
+    let ranges = |file: &str| {
+        let config = load(Some(file), &[], &[]).unwrap();
+        [
+            config.mapping.limits().gate.max_range_m,
+            config.locating.gate().max_range_m,
+            config.locating.search().extent_m,
+        ]
+    };
+    assert_eq!(ranges("").map(f64::to_bits), [50_f64; 3].map(f64::to_bits));
+    assert_eq!(ranges("[radar]\nmax_range_m = 100").map(f64::to_bits), [100_f64; 3].map(f64::to_bits));
+    let apart = ranges("[radar]\nmax_range_m = 100\n[mapping]\nmax_range_m = 60");
+    assert_eq!(apart.map(f64::to_bits), [60_f64, 100.0, 100.0].map(f64::to_bits));
+    let error = load(Some("[radar]\nmax_range_m = 0.5"), &[], &[]).unwrap_err().to_string();
+    assert!(error.contains("`radar.max_range_m` must lie within 1 and 300"), "{error}");
+}
+
 #[test]
 fn mistakes_are_reported_with_their_origin_and_a_hint() {
     let message = |file: &str| load(Some(file), &[], &[]).unwrap_err().to_string();
@@ -89,7 +108,7 @@ fn locating_beyond_reason_is_refused() {
         ("wide_search_m", "-1.0"),
         ("min_speed_mps", "-0.1"),
         ("min_speed_mps", "inf"),
-        ("max_range_m", "0.0"),
+        ("max_range_m", "-1.0"),
         ("max_range_m", "301.0"),
         ("max_doppler_residual_mps", "nan"),
         ("max_doppler_residual_mps", "inf"),

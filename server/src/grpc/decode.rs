@@ -1,6 +1,7 @@
 //! Columns of the contract to values of the core. Whatever passes is finite, bounded and of
 //! matching lengths; whatever does not is named by its path.
 
+use echofix_core::convention::Convention;
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
 use echofix_core::odometry::{self, Trajectory};
@@ -10,9 +11,11 @@ use echofix_core::time::DAY_US;
 use echofix_proto::v1;
 
 mod scans;
+mod told;
 mod uncertainty;
 
 pub use scans::{ScanColumns, scans};
+pub use told::Told;
 pub use uncertainty::{Uncertainty, uncertainty};
 
 pub use super::invalid_field::InvalidField;
@@ -44,6 +47,8 @@ pub struct DecodedBatch {
     pub scans: ScanColumns,
     /// The vehicle's way in its odometry frame.
     pub odometry: Trajectory,
+    /// What the vehicle says of its data itself.
+    pub told: Told,
 }
 
 /// A batch. `field` is its own path.
@@ -51,14 +56,16 @@ pub struct DecodedBatch {
 /// # Errors
 /// The first field that breaks a rule.
 pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<DecodedBatch, InvalidField> {
-    let v1::Batch { reference_time_us, mounts, scans: columns, odometry: way } = required(batch, field)?;
+    let v1::Batch { reference_time_us, mounts, scans: columns, odometry: way, dropped, suspected } =
+        required(batch, field)?;
     let at = |name: &str| format!("{field}.{name}");
     reference_time(reference_time_us, &at("reference_time_us"))?;
     let mounts = self::mounts(&mounts, &at("mounts"))?;
     let columns = required(columns, &at("scans"))?;
     let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
     let odometry = odometry(required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
-    Ok(DecodedBatch { reference_time_us, mounts, scans, odometry })
+    let told = Told::of(dropped, &suspected);
+    Ok(DecodedBatch { reference_time_us, mounts, scans, odometry, told })
 }
 
 /// A time on a day that the map can count.
@@ -137,7 +144,7 @@ pub fn geo_poses(
     ];
     for (name, column, most) in doubles {
         same_length(column.len(), rows, &at(name), "time_offset_us")?;
-        bounded(column, most, &at(name))?;
+        bounded(column, most, &at(name)).map_err(|error| exchanged_or(error, name))?;
     }
     let sigmas = [("sigma_position_m", &columns.sigma_position_m), ("sigma_yaw_rad", &columns.sigma_yaw_rad)];
     for (name, column) in sigmas {
@@ -180,13 +187,24 @@ pub fn geodetic_pose(pose: Option<v1::GeodeticPose>, field: &str) -> Result<(Lat
 /// # Errors
 /// When it lies outside of the ranges of latitude or longitude.
 pub fn lat_lon(lat_deg: f64, lon_deg: f64, field: &str) -> Result<LatLon, InvalidField> {
-    require(lat_deg.abs() <= 90.0, &format!("{field}.latitude_deg"), "must lie within -90 and 90 degrees")?;
+    let latitude = "must lie within -90 and 90 degrees";
+    require(lat_deg.abs() <= 90.0, &format!("{field}.latitude_deg"), latitude)
+        .map_err(|error| exchanged_or(error, "latitude_deg"))?;
     require(
         lon_deg.abs() <= 180.0,
         &format!("{field}.longitude_deg"),
         "must lie within -180 and 180 degrees",
     )?;
     Ok(LatLon { lat_deg, lon_deg })
+}
+
+/// A latitude that is none may be a longitude.
+fn exchanged_or(error: InvalidField, name: &str) -> InvalidField {
+    if name != "latitude_deg" {
+        return error;
+    }
+    let question = Convention::LatLonSwapped.question();
+    InvalidField::new(error.field, format!("{}; {question}", error.description))
 }
 
 /// Offsets become microseconds since the Unix epoch.

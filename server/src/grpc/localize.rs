@@ -188,10 +188,11 @@ impl Localization {
         require((0.0..1.0).contains(&risk), "requirement.integrity_risk", "must be a probability below 1")?;
         require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
         let gate = self.locator.config().gate();
-        let reference_time_us = batch.reference_time_us;
-        let batch =
+        let (reference_time_us, told) = (batch.reference_time_us, batch.told);
+        let mut batch =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
                 .map_err(|e| InvalidField::new("batch.odometry", e))?;
+        batch.findings.extend(told.mostly_moving(batch.points.len() as u64));
         let request = LocateRequest {
             batch,
             at,

@@ -85,7 +85,7 @@ impl MappingApi {
 
     /// Checks a received upload and journals it.
     fn validate_and_commit(&self, received: ReceivedUpload) -> Result<UploadResponse, Error> {
-        let ReceivedUpload { id, contributor, day, body } = received;
+        let ReceivedUpload { id, contributor, day, told, body } = received;
         if let Some(receipt) = self.store.counted(id)? {
             return repeated(receipt);
         }
@@ -94,7 +94,10 @@ impl MappingApi {
             UploadBody::Scans(submission) => build_evidence(submission, &self.config.limits())?,
             UploadBody::Evidence(evidence) => evidence.checked(&self.config)?,
         };
-        let response = response(id, &contributed);
+        if let Some(finding) = told.mostly_moving(contributed.delta.detections) {
+            return Err(BuildError::MostlyMoving(finding).into());
+        }
+        let response = response(id, &contributed, &told.dropped);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.delta, response.encode_to_vec());
         match self.store.commit(UploadRecord { id, pass, forget_before, contribution, answer })? {
@@ -151,7 +154,7 @@ impl MappingApi {
             upload_id: id.to_string(),
             outcome: word.to_owned(),
             detections_counted: response.detections_counted,
-            detections_dropped: dropped.too_slow + dropped.too_far + dropped.moving + dropped.without_pose,
+            detections_dropped: total(&dropped),
             tiles: response.tiles.len(),
             epoch: response.epoch,
         });
@@ -159,7 +162,7 @@ impl MappingApi {
 }
 
 /// The answer, without what only the journal knows.
-fn response(id: Uuid, contributed: &BuiltEvidence) -> UploadResponse {
+fn response(id: Uuid, contributed: &BuiltEvidence, before: &DroppedDetections) -> UploadResponse {
     let BuiltEvidence { delta: contribution, dropped, .. } = contributed;
     let tile = |(id, evidence): (&_, &echofix_core::evidence::TileEvidence)| TileContribution {
         tile: Some(tile_id(*id)),
@@ -170,14 +173,21 @@ fn response(id: Uuid, contributed: &BuiltEvidence) -> UploadResponse {
         upload_id: id.to_string(),
         detections_counted: contribution.detections,
         dropped: Some(DroppedDetections {
-            too_slow: dropped.too_slow,
-            too_far: dropped.too_far,
-            moving: dropped.moving,
-            without_pose: dropped.without_pose,
+            too_slow: dropped.too_slow.saturating_add(before.too_slow),
+            too_far: dropped.too_far.saturating_add(before.too_far),
+            moving: dropped.moving.saturating_add(before.moving),
+            without_pose: dropped.without_pose.saturating_add(before.without_pose),
+            off_height: dropped.off_height.saturating_add(before.off_height),
         }),
         tiles: contribution.tiles.iter().map(tile).collect(),
         ..UploadResponse::default()
     }
+}
+
+/// Detections that were left out, whatever the reason. A vehicle may have said any number.
+fn total(dropped: &DroppedDetections) -> u64 {
+    let DroppedDetections { too_slow, too_far, moving, without_pose, off_height } = *dropped;
+    [too_far, moving, without_pose, off_height].into_iter().fold(too_slow, u64::saturating_add)
 }
 
 /// The answer that was given the first time.
@@ -211,6 +221,8 @@ impl Error {
                 BuildError::PoseTooUncertain { .. } => "POSE_TOO_UNCERTAIN",
                 BuildError::TooSlow { .. } => "TOO_SLOW",
                 BuildError::NoDetections { .. } => "NO_DETECTIONS",
+                BuildError::MostlyMoving(_) => "MOSTLY_MOVING",
+                BuildError::WrongConvention(_) => "WRONG_CONVENTION",
                 BuildError::Outside(_) => "OUTSIDE_UTM",
                 BuildError::TooManyTiles { .. } | BuildError::Scans(_) | BuildError::Poses(_) => "INVALID",
             },

@@ -51,7 +51,7 @@ pub struct LocatingConfig {
     pub wide_search_m: f64,
     /// Slower vehicles are refused, metres per second.
     pub min_speed_mps: f64,
-    /// Detections farther away are dropped, metres.
+    /// Detections farther away are dropped, metres; in the file 0 for that of `[radar]`.
     pub max_range_m: f64,
     /// Detections whose radial speed differs more from a stationary target's are dropped, metres
     /// per second.
@@ -74,6 +74,7 @@ impl LocatingConfig {
             min_speed_mps: self.min_speed_mps,
             max_range_m: self.max_range_m,
             max_doppler_residual_mps: self.max_doppler_residual_mps,
+            ..Gate::default()
         }
     }
 

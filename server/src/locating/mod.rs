@@ -15,6 +15,7 @@ use echofix_core::align::localizability::Expected;
 use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::align::{Aligner, Alignment, EngineKind, Prior, Task};
 use echofix_core::batch::Batch;
+use echofix_core::convention::{Convention, in_words};
 use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
@@ -106,7 +107,8 @@ pub struct Timing {
 pub enum LocateRefusal {
     /// Nothing is served around the prior.
     #[error(
-        "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; check the prior, or drive and upload here first"
+        "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; {}",
+        where_to_look(*.swapped)
     )]
     NoMap {
         /// Half width of the window, metres.
@@ -115,6 +117,8 @@ pub enum LocateRefusal {
         lat_deg: f64,
         /// The prior, degrees east.
         lon_deg: f64,
+        /// Whether there is a map where the two are exchanged.
+        swapped: bool,
     },
     /// The vehicle hardly moves.
     #[error(
@@ -131,7 +135,8 @@ pub enum LocateRefusal {
     NoDetections,
     /// The gates left too few detections.
     #[error(
-        "{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: send a longer batch"
+        "{kept} of {sent} detections are left after dropping {too_slow} taken too slowly, {too_far} too far away, {moving} movers and {without_pose} outside the odometry; {least} are needed: {}",
+        advice(.findings)
     )]
     TooFewDetections {
         /// Detections left after the gates.
@@ -148,6 +153,8 @@ pub enum LocateRefusal {
         without_pose: u64,
         /// Detections that are needed.
         least: usize,
+        /// What seems to be wrong with the batch, in words.
+        findings: String,
     },
     /// The prior's sigma asks for a search wider than the service offers.
     #[error("the prior's sigma of {what} is {given:.3}; at most {most:.3} can be searched")]
@@ -284,7 +291,8 @@ impl Locator {
         let fetching = Instant::now();
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
-            return Err(no_map(frame, request.at));
+            let swapped = self.knows_exchanged(request);
+            return Err(no_map(frame, request.at, swapped));
         }
         let window = fetching.elapsed();
         let aligning = Instant::now();
@@ -318,6 +326,13 @@ impl Locator {
             map: used(&found),
             timing: Timing { queued, window, window_cached: found.cached, align },
         })
+    }
+
+    /// Is there a map where the prior's latitude and longitude are exchanged?
+    fn knows_exchanged(&self, request: &LocateRequest) -> bool {
+        let at = LatLon { lat_deg: request.at.lon_deg, lon_deg: request.at.lat_deg };
+        let Ok(placed) = self.placed_prior(&LocateRequest { at, ..request.clone() }) else { return false };
+        self.tiles.get(&*self.store, placed.frame).is_ok_and(|found| !found.tiles.is_empty())
     }
 
     /// The prior on its grid, and the square around it.
@@ -386,6 +401,20 @@ const AGREES_WITHIN_M: f64 = 0.2;
 /// Time that a relocalization takes.
 const RELOCALIZATION_TIME: Duration = Duration::from_millis(100);
 
+/// What to do about too few detections.
+fn advice(findings: &str) -> &str {
+    if findings.is_empty() { "send a longer batch" } else { findings }
+}
+
+/// What to do about a prior beside the map.
+fn where_to_look(swapped: bool) -> &'static str {
+    if swapped {
+        Convention::LatLonSwapped.question()
+    } else {
+        "check the prior, or drive and upload here first"
+    }
+}
+
 fn used(found: &PreparedWindow) -> MapUsed {
     MapUsed {
         epoch: found.epoch,
@@ -405,12 +434,13 @@ fn too_few(batch: &Batch, least: usize) -> LocateRefusal {
         moving: dropped.moving,
         without_pose: dropped.without_pose,
         least,
+        findings: in_words(&batch.findings),
     }
 }
 
-fn no_map(frame: MapSquare, at: LatLon) -> LocateRefusal {
+fn no_map(frame: MapSquare, at: LatLon, swapped: bool) -> LocateRefusal {
     let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
-    LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg }
+    LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg, swapped }
 }
 
 /// The contract's word for the status that a fix will most likely get, without its prefix.

@@ -3,7 +3,7 @@
 use crate::store::Policy;
 use echofix_core::drive::segment::SegmentLimits;
 use echofix_core::evidence::build::EvidenceLimits;
-use echofix_core::gate::Gate;
+use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_core::tile::Decay;
 use echofix_core::vetting;
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,7 @@ pub struct MappingConfig {
     pub max_sigma_yaw_deg: f64,
     /// Scans taken more slowly are left out, metres per second.
     pub min_speed_mps: f64,
-    /// Farther detections are left out, metres.
+    /// Farther detections are left out, metres; in the file 0 for that of `[radar]`.
     pub max_range_m: f64,
     /// Detections whose radial speed differs more from a stationary target's are left out, metres
     /// per second.
@@ -62,7 +62,7 @@ impl Default for MappingConfig {
             max_sigma_position_m: 0.3,
             max_sigma_yaw_deg: 0.5,
             min_speed_mps: 1.0,
-            max_range_m: 50.0,
+            max_range_m: MAX_RANGE_M,
             max_doppler_residual_mps: 0.5,
             max_pose_gap_s: 1.0,
             max_speed_mps: 70.0,
@@ -105,6 +105,7 @@ impl MappingConfig {
             min_speed_mps: self.min_speed_mps,
             max_range_m: self.max_range_m,
             max_doppler_residual_mps: self.max_doppler_residual_mps,
+            ..Gate::default()
         };
         EvidenceLimits {
             gate,

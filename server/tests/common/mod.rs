@@ -96,7 +96,7 @@ pub fn drive(id: Uuid, lat_deg: f64, lon_deg: f64) -> Vec<UploadRequest> {
         range_m: (0..rows).flat_map(|_| azimuths.map(|a| 20.0 / -a.sin())).collect(),
         azimuth_rad: (0..rows).flat_map(|_| azimuths).collect(),
         radial_speed_mps: (0..rows).flat_map(|_| azimuths.map(|a| -10.0 * a.cos())).collect(),
-        rcs_dbsm: vec![],
+        ..Scans::default()
     };
     vec![header(id), chunk(UploadChunk { poses: Some(poses), scans: Some(scans) })]
 }
@@ -107,6 +107,7 @@ pub fn header(id: Uuid) -> UploadRequest {
         contributor: "car-7".to_owned(),
         reference_time_us: NOON_US,
         mounts: vec![SensorMount::default()],
+        ..UploadHeader::default()
     };
     UploadRequest { part: Some(Part::Header(header)) }
 }

@@ -172,6 +172,7 @@ impl<'a> Scanner<'a> {
             azimuth_rad: column(|e| e.azimuth_rad),
             radial_speed_mps: column(|e| e.radial_speed_mps),
             rcs_dbsm: column(|e| e.rcs_dbsm),
+            ..Scan::default()
         }
     }
 }

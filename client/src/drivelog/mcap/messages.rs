@@ -26,6 +26,8 @@ pub(super) fn scan(scan: &Scan) -> log::RadarScan {
         azimuth_rad: scan.azimuth_rad.clone(),
         radial_speed_mps: scan.radial_speed_mps.clone(),
         rcs_dbsm: scan.rcs_dbsm.clone(),
+        elevation_rad: scan.elevation_rad.clone(),
+        detection_time_offset_us: scan.detection_time_offset_us.clone(),
     }
 }
 
@@ -37,6 +39,8 @@ pub(super) fn scan_from(message: log::RadarScan) -> Scan {
         azimuth_rad: message.azimuth_rad,
         radial_speed_mps: message.radial_speed_mps,
         rcs_dbsm: message.rcs_dbsm,
+        elevation_rad: message.elevation_rad,
+        detection_time_offset_us: message.detection_time_offset_us,
     }
 }
 

@@ -25,6 +25,7 @@ pub mod topic {
     pub const REFERENCE_FIX: &str = "/pose/reference";
     /// `foxglove.LocationFix`: the truth once more, for map panels; not read back.
     pub const TRUTH_FIX: &str = "/pose/truth";
-    /// The metadata record with `vehicle`, and for every radar `sensor.N` = `x_m y_m yaw_rad`.
+    /// The metadata record with `vehicle`, and for every radar `sensor.N` = `x_m y_m yaw_rad`: metres
+    /// forward and left of the body's origin, and the boresight, radians counter-clockwise from forward.
     pub const DRIVE: &str = "echofix.drive";
 }

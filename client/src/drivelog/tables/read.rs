@@ -1,11 +1,12 @@
 //! Reading a drive from a folder.
 
+use std::f32::consts::FRAC_PI_2;
 use std::path::Path;
 
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
-use echofix_core::scan::{Mount, Scan};
+use echofix_core::scan::{self, Mount, Scan};
 
 use super::super::Problem;
 use super::super::error::{Error, is_finite};
@@ -55,8 +56,8 @@ fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
 
 fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
     let mut scans: Vec<Scan> = Vec::new();
-    table.rows(&super::SCANS[..4], |row: row::DetectionRow| {
-        let row::DetectionRow { time_us, sensor, .. } = row;
+    table.rows(&super::SCANS[..4], |row: row::DetectionInSpaceRow| {
+        let row::DetectionInSpaceRow { time_us, sensor, .. } = row;
         if sensor >= sensors {
             return Err(Problem::UnknownSensor { sensor, sensors });
         }
@@ -70,29 +71,45 @@ fn scans(table: &Table, sensors: usize) -> Result<Vec<Scan>, Error> {
 }
 
 /// Adds a detection, minding that the optional columns are whole or empty.
-fn add(scan: &mut Scan, row: &row::DetectionRow) -> Result<(), Problem> {
+fn add(scan: &mut Scan, row: &row::DetectionInSpaceRow) -> Result<(), Problem> {
     let (range_m, azimuth_rad) = match (row.range_m, row.azimuth_rad) {
         (Some(range_m), Some(azimuth_rad)) => (range_m, azimuth_rad),
         (None, None) if scan.is_empty() => return Ok(()),
         _ => return Err(Problem::HalfADetection),
     };
-    let optional = [("radial_speed_mps", row.radial_speed_mps), ("rcs_dbsm", row.rcs_dbsm)];
-    let values = [range_m, azimuth_rad, optional[0].1.unwrap_or(0.0), optional[1].1.unwrap_or(0.0)];
-    finite(values.iter().all(|v| v.is_finite()))?;
+    let optional = [row.radial_speed_mps, row.rcs_dbsm, row.elevation_rad];
+    finite(optional.iter().flatten().chain([&range_m, &azimuth_rad]).all(|v| v.is_finite()))?;
     if range_m < 0.0 {
         return Err(Problem::NegativeRange { range_m });
     }
-    let before = scan.len();
-    for ((column, value), values) in
-        optional.into_iter().zip([&mut scan.radial_speed_mps, &mut scan.rcs_dbsm])
-    {
-        if before > 0 && value.is_some() == values.is_empty() {
-            return Err(Problem::PartialColumn { column });
-        }
-        values.extend(value);
+    if let Some(elevation) = row.elevation_rad.filter(|elevation| elevation.abs() > FRAC_PI_2) {
+        return Err(scan::Error::NoElevation { row: scan.len(), value: elevation.to_string() }.into());
     }
+    let before = scan.len();
+    let columns = [&mut scan.radial_speed_mps, &mut scan.rcs_dbsm, &mut scan.elevation_rad];
+    for ((column, value), values) in
+        ["radial_speed_mps", "rcs_dbsm", "elevation_rad"].into_iter().zip(optional).zip(columns)
+    {
+        whole(column, values, value, before)?;
+    }
+    let offsets = &mut scan.detection_time_offset_us;
+    whole("detection_time_offset_us", offsets, row.detection_time_offset_us, before)?;
     scan.range_m.push(range_m);
     scan.azimuth_rad.push(azimuth_rad);
+    Ok(())
+}
+
+/// Adds a value to an optional column, which `before` rows have, all or none.
+fn whole<T>(
+    column: &'static str,
+    values: &mut Vec<T>,
+    value: Option<T>,
+    before: usize,
+) -> Result<(), Problem> {
+    if before > 0 && value.is_some() == values.is_empty() {
+        return Err(Problem::PartialColumn { column });
+    }
+    values.extend(value);
     Ok(())
 }
 
@@ -166,6 +183,15 @@ mod tests {
             let message = error.to_string();
             assert!(message.contains(&format!("scans.csv line {line}")), "{message}");
             assert!(message.contains(words), "{message}");
+        }
+        let header = "time_us,sensor,range_m,azimuth_rad,elevation_rad,detection_time_offset_us\n";
+        for (rows, line, words) in [
+            ("0,0,1,0,12.5,\n", 2, "elevations are radians"),
+            ("0,0,1,0,0.1,7\n0,0,1,0,,7\n", 3, "elevation_rad must be given in all rows"),
+            ("0,0,1,0,,7\n0,0,1,0,,\n", 3, "detection_time_offset_us must be given in all rows"),
+        ] {
+            let message = read_with(&format!("{header}{rows}")).unwrap_err().to_string();
+            assert!(message.contains(&format!("line {line}")) && message.contains(words), "{message}");
         }
         let error = read_with("time_us,sensor\n0,0\n").unwrap_err();
         assert!(error.to_string().contains("line 1: column `range_m` is missing"), "{error}");

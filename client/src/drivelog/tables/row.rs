@@ -23,8 +23,26 @@ pub(super) struct SensorRow {
     pub yaw_rad: f64,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A detection of a log without elevations and times of detections.
+#[derive(Serialize)]
 pub(super) struct DetectionRow {
+    #[serde(rename = "time_us")]
+    pub time_us: i64,
+    #[serde(rename = "sensor")]
+    pub sensor: usize,
+    #[serde(rename = "range_m")]
+    pub range_m: Option<f32>,
+    #[serde(rename = "azimuth_rad")]
+    pub azimuth_rad: Option<f32>,
+    #[serde(rename = "radial_speed_mps")]
+    pub radial_speed_mps: Option<f32>,
+    #[serde(rename = "rcs_dbsm")]
+    pub rcs_dbsm: Option<f32>,
+}
+
+/// A detection with all that a radar may tell of it.
+#[derive(Serialize, Deserialize)]
+pub(super) struct DetectionInSpaceRow {
     #[serde(rename = "time_us")]
     pub time_us: i64,
     #[serde(rename = "sensor")]
@@ -37,6 +55,10 @@ pub(super) struct DetectionRow {
     pub radial_speed_mps: Option<f32>,
     #[serde(rename = "rcs_dbsm", default)]
     pub rcs_dbsm: Option<f32>,
+    #[serde(rename = "elevation_rad", default)]
+    pub elevation_rad: Option<f32>,
+    #[serde(rename = "detection_time_offset_us", default)]
+    pub detection_time_offset_us: Option<i32>,
 }
 
 #[derive(Serialize, Deserialize)]

@@ -19,7 +19,7 @@ pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error>
         yaw_rad: m.yaw_rad,
     });
     table::write(folder, "sensors.csv", &super::SENSORS, sensors)?;
-    table::write(folder, "scans.csv.gz", &super::SCANS, drive.scans.iter().flat_map(detections))?;
+    scans(folder, &drive.scans)?;
     let odometry = drive.odometry.iter().map(|(time_us, pose)| row::OdometryRow::new(time_us, pose));
     table::write(folder, "odometry.csv", &super::ODOMETRY, odometry)?;
     poses(folder, "reference.csv", &drive.reference)?;
@@ -28,6 +28,34 @@ pub(in super::super) fn write(folder: &Path, drive: &Drive) -> Result<(), Error>
 
 fn poses(folder: &Path, name: &str, poses: &[GeoPose]) -> Result<(), Error> {
     table::write(folder, name, &super::GEODETIC, poses.iter().map(row::GeodeticRow::from))
+}
+
+fn scans(folder: &Path, scans: &[Scan]) -> Result<(), Error> {
+    let in_space = |scan: &Scan| !(scan.elevation_rad.is_empty() && scan.detection_time_offset_us.is_empty());
+    let name = "scans.csv.gz";
+    if scans.iter().any(in_space) {
+        return table::write(
+            folder,
+            name,
+            &super::SCANS_IN_SPACE,
+            scans.iter().flat_map(detections_in_space),
+        );
+    }
+    table::write(folder, name, &super::SCANS, scans.iter().flat_map(detections))
+}
+
+/// [`detections`] with all columns.
+fn detections_in_space(scan: &Scan) -> impl Iterator<Item = row::DetectionInSpaceRow> + '_ {
+    detections(scan).enumerate().map(|(i, row)| row::DetectionInSpaceRow {
+        time_us: row.time_us,
+        sensor: row.sensor,
+        range_m: row.range_m,
+        azimuth_rad: row.azimuth_rad,
+        radial_speed_mps: row.radial_speed_mps,
+        rcs_dbsm: row.rcs_dbsm,
+        elevation_rad: scan.elevation_rad.get(i).copied(),
+        detection_time_offset_us: scan.detection_time_offset_us.get(i).copied(),
+    })
 }
 
 /// One row a detection; one without detections for an empty scan.

@@ -3,6 +3,7 @@
 use super::*;
 use crate::testing::{T0, decode};
 use echofix_core::geo::LatLon;
+use echofix_proto::v1;
 
 const METRES_PER_DEGREE: f64 = 96_486.0;
 
@@ -60,7 +61,7 @@ fn a_drive_becomes_uploads_that_hold_every_scan_once() {
     let mut r = recorder(RecorderConfig { cut_after_m: 1e9, ..whole() });
     let mut uploads = record(&mut r, 305, |_, _| ());
     assert_eq!(uploads.len(), 3, "30.5 s less the lateness, in pieces of 10 s");
-    uploads.extend(r.finish().0);
+    uploads.extend(r.finish().upload);
     let times = scan_times(&uploads);
     let expected: Vec<i64> = (0..305).map(|i| i * 100 + 50).collect();
     assert_eq!(times, expected, "the last scan is beyond the last pose");
@@ -87,7 +88,7 @@ fn scans_late_by_less_than_allowed_are_kept_and_later_ones_refused() {
         }
     }
     assert!(matches!(r.push_scan(scan(100)), Err(Error::TooLate { .. })));
-    uploads.extend(r.finish().0);
+    uploads.extend(r.finish().upload);
     assert_eq!(scan_times(&uploads), (0..=26).map(|i| i * 100).collect::<Vec<_>>());
 }
 
@@ -100,7 +101,7 @@ fn doubtful_poses_leave_a_hole_and_are_counted() {
         }
     });
     assert_eq!(r.dropped().total(), 0, "nothing is cut before the end");
-    let (last, dropped) = r.finish();
+    let FinishedTrip { upload: last, dropped, .. } = r.finish();
     uploads.extend(last);
     let times = scan_times(&uploads);
     assert!(times.iter().all(|t| *t <= 2900 || *t >= 4000), "{times:?}");
@@ -119,7 +120,7 @@ fn standstill_is_not_recorded() {
     }
     assert!(uploads.is_empty());
     assert!(r.dropped().too_slow > 300, "{:?}", r.dropped());
-    assert_eq!(r.finish().0, None);
+    assert_eq!(r.finish().upload, None);
 }
 
 #[test]
@@ -133,7 +134,7 @@ fn odometry_tells_movers_where_poses_jitter() {
         let radial_speed_mps = vec![-10.0 * 0.1_f32.cos(), -2.0];
         r.push_scan(Scan { radial_speed_mps, ..scan(i * 100 + 50) }).unwrap();
     }
-    let upload = r.finish().0.unwrap();
+    let upload = r.finish().upload.unwrap();
     assert_eq!(upload.detections(), 20, "one of two in each of the 20 scans that poses cover");
 }
 
@@ -141,7 +142,7 @@ fn odometry_tells_movers_where_poses_jitter() {
 fn the_ends_of_a_trip_stay_private() {
     let mut r = recorder(RecorderConfig { trim_ends_m: 20.0, cut_after_s: 5.0, ..RecorderConfig::default() });
     let mut uploads = record(&mut r, 200, |_, _| ());
-    uploads.extend(r.finish().0);
+    uploads.extend(r.finish().upload);
     let times = scan_times(&uploads);
     assert!(times[0] >= 1950 && *times.last().unwrap() <= 18_050, "{:?}", (times[0], times.last()));
     assert!(times.len() > 150);
@@ -159,7 +160,7 @@ fn the_ends_stay_private_unless_somebody_asks_for_them() {
     assert!(record(&mut r, 95, |_, _| ()).is_empty(), "95 m from the start");
     let mut r = recorder(RecorderConfig::default());
     let mut uploads = record(&mut r, 400, |_, _| ());
-    uploads.extend(r.finish().0);
+    uploads.extend(r.finish().upload);
     let times = scan_times(&uploads);
     assert!(times[0] >= 9_950 && *times.last().unwrap() <= 30_050, "{:?}", (times[0], times.last()));
 }
@@ -175,7 +176,7 @@ fn a_parked_vehicle_has_arrived_and_holds_nothing_back() {
     }
     assert!(r.poses.len() < 10 && r.scans.len() < 10, "{} {}", r.poses.len(), r.scans.len());
     assert!(scan_times(&uploads).iter().all(|t| *t <= 18_050));
-    assert_eq!(r.finish().0, None);
+    assert_eq!(r.finish().upload, None);
 }
 
 #[test]
@@ -210,12 +211,12 @@ fn evidence_is_what_the_scans_would_have_come_to() {
     let mut evidence = Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap();
     let (mut sent, mut gathered) =
         (record(&mut scans, 300, |_, _| ()), record(&mut evidence, 300, |_, _| ()));
-    sent.extend(scans.finish().0);
-    gathered.extend(evidence.finish().0);
+    sent.extend(scans.finish().upload);
+    gathered.extend(evidence.finish().upload);
     assert_eq!(sent.len(), gathered.len());
     for (sent, gathered) in sent.iter().zip(&gathered) {
         let header = sent.header().unwrap();
-        let chunk = |chunk: &echofix_proto::v1::UploadChunk| Chunk {
+        let chunk = |chunk: &v1::UploadChunk| Chunk {
             poses: decode::poses(chunk.poses.as_ref().unwrap(), header.reference_time_us),
             scans: decode::scans(chunk.scans.as_ref().unwrap(), header.reference_time_us),
         };
@@ -226,4 +227,55 @@ fn evidence_is_what_the_scans_would_have_come_to() {
         let header = gathered.header().unwrap();
         assert!(header.mounts.is_empty() && header.reference_time_us % DAY_US == 0);
     }
+}
+
+/// A trip of 10 s at 10 m/s past posts, changed by `edit`.
+fn past_posts(form: UploadForm, edit: impl Fn(&mut GeoPose, &mut Scan)) -> FinishedTrip {
+    let config = RecorderConfig { form, cut_after_m: 1e3, cut_after_s: 1e3, ..whole() };
+    let mut recorder = Recorder::new(config, "car-1", vec![Mount::IDENTITY]).unwrap();
+    for i in 0..=100 {
+        let azimuth_rad: Vec<f32> = (0..20).map(|post| 0.1 * post as f32 - 1.0).collect();
+        let radial_speed_mps = azimuth_rad.iter().map(|a| -10.0 * a.cos()).collect();
+        let (mut pose, mut scan) = (pose(i * 100, i as f64), scan(i * 100));
+        scan = Scan { range_m: vec![20.0; 20], azimuth_rad, radial_speed_mps, ..scan };
+        edit(&mut pose, &mut scan);
+        recorder.push_pose(pose).unwrap();
+        recorder.push_scan(scan).unwrap();
+    }
+    recorder.finish()
+}
+
+/// Catches an upload that keeps to itself what was left out of it, and what is suspected.
+#[test]
+fn an_upload_tells_what_was_left_out_of_it() {
+    for form in [UploadForm::Scans, UploadForm::Evidence] {
+        let sound = past_posts(form, |_, _| ());
+        assert_eq!((&sound.findings[..], sound.dropped.moving), (&[][..], 0));
+        assert_eq!(sound.upload.unwrap().header().unwrap().suspected, []);
+        // The sign is wrong but for two posts of twenty.
+        let trip = past_posts(form, |_, scan| scan.radial_speed_mps[2..].iter_mut().for_each(|v| *v = -*v));
+        let upload = trip.upload.unwrap();
+        let header = upload.header().unwrap();
+        assert_eq!(header.suspected, [v1::Convention::RadialSpeedTowards as i32]);
+        assert_eq!(header.dropped.unwrap().moving, trip.dropped.moving);
+        assert!(trip.dropped.moving > 1700, "{:?}", trip.dropped);
+        assert!(
+            trip.findings[0].to_string().contains("positive away from the sensor?"),
+            "{:?}",
+            trip.findings
+        );
+    }
+}
+
+/// Catches evidence that is built with a yaw across the direction of travel.
+#[test]
+fn a_yaw_from_north_builds_no_evidence_and_is_told() {
+    let trip = past_posts(UploadForm::Evidence, |pose, scan| {
+        pose.yaw_rad = std::f64::consts::FRAC_PI_2 - pose.yaw_rad;
+        scan.radial_speed_mps.clear();
+    });
+    assert_eq!((trip.upload, trip.dropped.without_pose), (None, 101 * 20));
+    let text = trip.findings[0].to_string();
+    assert!(text.starts_with("the reference poses' yaw is 90 degrees off the direction of travel"), "{text}");
+    assert!(text.contains("not clockwise from north?"), "{text}");
 }

@@ -79,7 +79,7 @@ fn what_is_left_out_is_counted_by_its_reason() {
     }
     let result = built(upload).unwrap();
     // The car stands still from 20 to 29, then its positioning jumps on.
-    let expected = Dropped { too_far: 1, moving: 1, without_pose: 2, too_slow: 10 };
+    let expected = Dropped { too_far: 1, moving: 1, without_pose: 2, too_slow: 10, ..Dropped::default() };
     assert_eq!(result.dropped, expected);
     assert_eq!(result.delta.detections + expected.total(), 41);
 }
@@ -129,4 +129,58 @@ proptest! {
         let chunks = vec![chunk(&poses, &scans)];
         prop_assert_eq!(built(RawUpload { chunks, ..whole.clone() }).unwrap(), expected);
     }
+}
+
+/// The drive with twenty posts in each scan, their radial speeds as they should be, and then changed.
+fn past_posts(edit: impl Fn(&mut GeoPose, &mut Scan)) -> Result<BuiltEvidence, BuildError> {
+    let mut upload = drive(LatLon { lat_deg: 48.1, lon_deg: 11.6 }, 41);
+    let Chunk { poses, scans } = &mut upload.chunks[0];
+    for (pose, scan) in poses.iter_mut().zip(scans) {
+        scan.azimuth_rad = (0..20).map(|post| 0.1 * post as f32 - 1.0).collect();
+        scan.range_m = vec![20.0; 20];
+        scan.radial_speed_mps = scan.azimuth_rad.iter().map(|a| -10.0 * a.cos()).collect();
+        edit(pose, scan);
+    }
+    built(upload)
+}
+
+/// Catches an upload in another convention that is mapped from, and one that is refused without asking for it.
+#[test]
+fn uploads_in_another_convention_are_refused_and_asked_for_it() {
+    assert_eq!(past_posts(|_, _| ()).unwrap().delta.detections, 41 * 20);
+    let speeds = |change: fn(f32) -> f32| {
+        move |_: &mut GeoPose, scan: &mut Scan| {
+            scan.radial_speed_mps.iter_mut().for_each(|v| *v = change(*v));
+        }
+    };
+    let refused = |result: Result<BuiltEvidence, BuildError>| result.unwrap_err().to_string();
+    let text = refused(past_posts(speeds(|v| -v)));
+    assert_eq!(
+        text,
+        "100 % of the returns were dropped as moving: is the radial speed positive away from the sensor?"
+    );
+    assert!(refused(past_posts(speeds(|v| 3.6 * v))).ends_with("in metres per second, not in km/h?"));
+    assert!(refused(past_posts(speeds(|_| 0.01))).ends_with("with the vehicle's own motion still in it?"));
+    let degrees = past_posts(|_, scan| scan.azimuth_rad.iter_mut().for_each(|a| *a = a.to_degrees()));
+    assert!(refused(degrees).ends_with("is the azimuth in radians, not in degrees?"));
+    let from_north = |pose: &mut GeoPose| pose.yaw_rad = std::f64::consts::FRAC_PI_2 - pose.yaw_rad;
+    let text = refused(past_posts(|pose, _| from_north(pose)));
+    assert!(text.contains("not clockwise from north?"), "{text}");
+    // A radar without radial speeds has no movers.
+    let silent = past_posts(|pose, scan| {
+        from_north(pose);
+        scan.radial_speed_mps.clear();
+    });
+    assert!(matches!(silent, Err(BuildError::WrongConvention(_))), "{silent:?}");
+    let swapped =
+        past_posts(|pose, _| pose.at = LatLon { lat_deg: pose.at.lon_deg, lon_deg: pose.at.lat_deg });
+    assert!(refused(swapped).contains("are latitude and longitude exchanged?"));
+}
+
+/// Catches a refusal of what is only traffic, as long as more stands than moves.
+#[test]
+fn traffic_is_left_out_and_the_rest_counts() {
+    let jam = past_posts(|_, scan| scan.radial_speed_mps[..9].fill(0.0));
+    let BuiltEvidence { delta, dropped } = jam.unwrap();
+    assert_eq!((delta.detections, dropped.moving), (41 * 11, 41 * 9));
 }

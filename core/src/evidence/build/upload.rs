@@ -3,12 +3,14 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
+use crate::convention::{Finding, Inspection, inspect_onto};
 use crate::drive::GeoPose;
 use crate::drive::segment::{DriveSegment, split_segments};
 use crate::evidence::{EvidenceAccumulator, EvidenceDelta};
 use crate::gate::{self, Dropped};
 use crate::geo::{self, Grid, Zone};
 use crate::odometry::{self, Trajectory};
+use crate::scan::slices::sliced;
 use crate::scan::{Mount, Scan};
 
 use super::EvidenceLimits;
@@ -63,6 +65,12 @@ pub enum BuildError {
         /// Detections in the upload.
         sent: u64,
     },
+    /// Most of what was seen seems to move.
+    #[error("{0}")]
+    MostlyMoving(Finding),
+    /// Something is in another convention than the contract's.
+    #[error("{0}")]
+    WrongConvention(Finding),
     /// UTM does not reach there.
     #[error(transparent)]
     Outside(#[from] geo::Error),
@@ -82,13 +90,18 @@ pub enum BuildError {
     Poses(#[from] odometry::Error),
 }
 
-/// Builds the evidence of an upload: projects its detections onto the map. The scans are sorted by time.
+/// Builds the evidence of an upload: projects its detections onto the map. The scans are sorted by time, those that took
+/// their time as their [`slices`](crate::scan::slices).
 ///
 /// # Errors
-/// When none of its detections count, or it lies where there is no map.
+/// When none of its detections count or more of them move than stand, when something is in another convention than the contract's, or when it
+/// lies where there is no map.
 pub fn build_evidence(mut upload: RawUpload, limits: &EvidenceLimits) -> Result<BuiltEvidence, BuildError> {
     let mut builder = DeltaBuilder::new(limits);
     for chunk in &mut upload.chunks {
+        if let Some(slices) = sliced(chunk.scans.iter().map(Into::into)) {
+            chunk.scans = slices;
+        }
         chunk.scans.sort_by_key(|scan| scan.time_us);
         builder.chunk(&upload.mounts, chunk)?;
     }
@@ -106,6 +119,8 @@ struct DeltaBuilder<'a> {
     dropped: Dropped,
     /// Poses that are not known well enough.
     uncertain: usize,
+    /// Looks at poses, and at scans where most seems to move.
+    inspection: Inspection,
 }
 
 impl<'a> DeltaBuilder<'a> {
@@ -117,12 +132,14 @@ impl<'a> DeltaBuilder<'a> {
             detections: 0,
             dropped: Dropped::default(),
             uncertain: 0,
+            inspection: Inspection::default(),
         }
     }
 
     fn chunk(&mut self, mounts: &[Mount], chunk: &Chunk) -> Result<(), BuildError> {
         let limits = &self.limits.segments;
         self.uncertain += chunk.poses.iter().filter(|pose| !limits.allows(pose)).count();
+        chunk.poses.iter().filter(|pose| limits.allows(pose)).for_each(|pose| self.inspection.pass(pose));
         let mut scans = &chunk.scans[..];
         for segment in &split_segments(&chunk.poses, limits)? {
             let [first, .., last] = segment.poses else { continue };
@@ -158,6 +175,9 @@ impl<'a> DeltaBuilder<'a> {
             if rank == 0 {
                 self.detections += counted;
                 self.dropped.add(&dropped);
+                if dropped.moving > counted {
+                    inspect_onto(&mut self.inspection, scans, mounts, &poses);
+                }
             }
             let (tiles, most) = (self.accumulator.tiles(), self.limits.max_tiles);
             if tiles > most {
@@ -169,12 +189,19 @@ impl<'a> DeltaBuilder<'a> {
 
     /// The delta; where no detection counts, the main reason.
     fn finish(self, sent: u64) -> Result<BuiltEvidence, BuildError> {
-        let Self { limits, accumulator, detections, dropped, uncertain, .. } = self;
+        let Self { limits, accumulator, detections, dropped, uncertain, inspection, .. } = self;
+        if let Some(finding) = inspection.mostly_moving(dropped.moving, detections) {
+            return Err(BuildError::MostlyMoving(finding));
+        }
+        let wrong = |finding: &Finding| !matches!(finding, Finding::Moving { .. });
+        if let Some(finding) = inspection.findings().into_iter().find(wrong) {
+            return Err(BuildError::WrongConvention(finding));
+        }
         if detections > 0 {
             return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped });
         }
-        let Dropped { too_slow, too_far, moving, without_pose } = dropped;
-        let main = too_slow.max(too_far).max(moving).max(without_pose);
+        let Dropped { too_slow, too_far, off_height, moving, without_pose } = dropped;
+        let main = too_slow.max(too_far).max(off_height).max(moving).max(without_pose);
         Err(if main > 0 && main == without_pose && uncertain > 0 {
             let position_m = limits.segments.max_sigma_position_m;
             let yaw_deg = limits.segments.max_sigma_yaw_rad.to_degrees();

@@ -30,7 +30,9 @@ impl ScanColumns {
             range_m: &self.detections.range_m[rows.clone()],
             azimuth_rad: &self.detections.azimuth_rad[rows.clone()],
             // An optional column may be empty.
-            radial_speed_mps: self.detections.radial_speed_mps.get(rows).unwrap_or_default(),
+            radial_speed_mps: self.detections.radial_speed_mps.get(rows.clone()).unwrap_or_default(),
+            elevation_rad: self.detections.elevation_rad.get(rows.clone()).unwrap_or_default(),
+            detection_time_offset_us: self.detections.detection_time_offset_us.get(rows).unwrap_or_default(),
         })
     }
 
@@ -67,8 +69,15 @@ pub fn scans(
         return Err(InvalidField::new(at("detection_count"), described));
     }
     let time_us = times(time_offset_us, reference_time_us, &at("time_offset_us"))?;
-    let (radial_speed_mps, rcs_dbsm) = (columns.radial_speed_mps, columns.rcs_dbsm);
-    let detections = Scan { range_m, azimuth_rad, radial_speed_mps, rcs_dbsm, ..Scan::default() };
+    let detections = Scan {
+        range_m,
+        azimuth_rad,
+        radial_speed_mps: columns.radial_speed_mps,
+        elevation_rad: columns.elevation_rad,
+        detection_time_offset_us: columns.detection_time_offset_us,
+        rcs_dbsm: columns.rcs_dbsm,
+        ..Scan::default()
+    };
     detections.validate().map_err(|error| InvalidField::new(at(column(&error)), error))?;
     if let Some(row) = first_row(&detections.azimuth_rad, |azimuth| !angle(f64::from(azimuth))) {
         return Err(InvalidField::new(format!("{}[{row}]", at("azimuth_rad")), "is not an angle in radians"));
@@ -81,5 +90,6 @@ fn column(error: &scan::Error) -> &'static str {
     match error {
         scan::Error::ColumnLength { column, .. } | scan::Error::NotFinite { column, .. } => column,
         scan::Error::NegativeRange { .. } => "range_m",
+        scan::Error::NoElevation { .. } => "elevation_rad",
     }
 }

@@ -11,6 +11,7 @@ fn scan_columns() -> v1::Scans {
         azimuth_rad: vec![0.1, 0.2, 0.3],
         radial_speed_mps: vec![-1.0, -2.0, -3.0],
         rcs_dbsm: vec![],
+        ..v1::Scans::default()
     }
 }
 
@@ -32,6 +33,18 @@ fn columns_are_split_into_scans() {
     assert_eq!((scans[1].sensor, scans[1].time_us), (1, 1_000));
     assert_eq!(scans[1].radial_speed_mps, [-3.0]);
     assert!(scans[1].rcs_dbsm.is_empty());
+}
+
+/// Catches a column that goes to another scan's detections, or nowhere.
+#[test]
+fn elevations_and_times_stay_with_their_detections() {
+    let mut columns = scan_columns();
+    columns.elevation_rad = vec![0.1, -0.2, 0.3];
+    columns.detection_time_offset_us = vec![0, 250_000, -7];
+    let scans = scans(columns, 1_000, 2, "s").unwrap().split();
+    assert_eq!((&scans[0].elevation_rad[..], &scans[1].elevation_rad[..]), (&[0.1, -0.2][..], &[0.3][..]));
+    assert_eq!(scans[0].detection_time_offset_us, [0, 250_000]);
+    assert_eq!(scans[1].detection_time_offset_us, [-7]);
 }
 
 #[test]
@@ -74,6 +87,9 @@ fn broken_scans_are_named() {
     assert_eq!(refused(|c| c.azimuth_rad.truncate(2)), "s.azimuth_rad");
     assert_eq!(refused(|c| c.radial_speed_mps[0] = f32::INFINITY), "s.radial_speed_mps");
     assert_eq!(refused(|c| c.rcs_dbsm.push(1.0)), "s.rcs_dbsm");
+    assert_eq!(refused(|c| c.elevation_rad = vec![0.0, 20.0, 0.0]), "s.elevation_rad");
+    assert_eq!(refused(|c| c.elevation_rad.push(0.0)), "s.elevation_rad");
+    assert_eq!(refused(|c| c.detection_time_offset_us.push(1)), "s.detection_time_offset_us");
     assert_eq!(refused(|c| c.sensor = vec![0; MAX_SCANS + 1]), "s.sensor");
 }
 
@@ -107,6 +123,7 @@ fn a_batch_needs_all_its_parts() {
         mounts: vec![v1::SensorMount::default(); 2],
         scans: Some(scan_columns()),
         odometry: Some(odometry),
+        ..v1::Batch::default()
     };
     let refused = |change: fn(&mut v1::Batch)| {
         let mut part = whole.clone();
@@ -132,7 +149,7 @@ proptest! {
         range_m: Vec<f32>, azimuth_rad: Vec<f32>, radial_speed_mps: Vec<f32>, reference: i64,
     ) {
         let columns = v1::Scans {
-            sensor, time_offset_us, detection_count, range_m, azimuth_rad, radial_speed_mps, rcs_dbsm: vec![],
+            sensor, time_offset_us, detection_count, range_m, azimuth_rad, radial_speed_mps, ..v1::Scans::default()
         };
         if let Ok(scans) = scans(columns, reference, 3, "s") {
             prop_assert!(scans.split().iter().all(|scan| scan.validate().is_ok() && scan.sensor < 3));

@@ -5,6 +5,7 @@ use std::time::Duration;
 use echofix_core::align::Alignment;
 use echofix_core::align::verdict::{Protection, Verdict};
 use echofix_core::batch::Batch;
+use echofix_core::convention::{in_words, yaw_suspect};
 use echofix_core::pose::Pose2;
 use echofix_proto::v1::{
     Alternative, Diagnostics, FixStatus, GeodeticPose, LocalizeResponse, MapState, ProtectionLevel,
@@ -25,12 +26,15 @@ pub(super) struct BatchFacts {
     detections: u32,
     duration_s: f64,
     travelled_m: f64,
+    /// What is wrong with it, in words; empty when nothing is.
+    findings: String,
 }
 
 impl BatchFacts {
     pub(super) fn of(batch: &Batch) -> Self {
         let detections = u32::try_from(batch.detections).unwrap_or(u32::MAX);
-        Self { detections, duration_s: batch.duration_s, travelled_m: batch.travelled_m }
+        let findings = in_words(&batch.findings);
+        Self { detections, duration_s: batch.duration_s, travelled_m: batch.travelled_m, findings }
     }
 }
 
@@ -42,6 +46,7 @@ pub(super) fn response(
 ) -> LocalizeResponse {
     let alignment = &answer.alignment;
     let (status, status_reason) = judged(answer, alert_limit_m);
+    let status_reason = with_diagnosis(status_reason, answer, batch);
     let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = alignment.covariance;
     let pose = alignment.pose;
     // Where nothing holds the pose in some direction, no number bounds its error.
@@ -81,6 +86,18 @@ pub(super) fn response(
         calibration: CALIBRATION.to_owned(),
         contains_prior: answer.contains_prior,
     }
+}
+
+/// The reason of an answer that is not usable, and what seems to be wrong with the question.
+fn with_diagnosis(reason: String, answer: &LocateAnswer, batch: &BatchFacts) -> String {
+    if answer.alignment.verdict == Verdict::Usable {
+        return reason;
+    }
+    let believed_rad = answer.yaw_rad - answer.alignment.correction.yaw_rad;
+    let prior = yaw_suspect(believed_rad, answer.yaw_rad).filter(|_| answer.relocalized);
+    let prior = prior.map(|convention| format!("; of the prior's yaw: {}", convention.question()));
+    let batch = Some(format!("; {}", batch.findings)).filter(|_| !batch.findings.is_empty());
+    reason + &batch.unwrap_or_default() + &prior.unwrap_or_default()
 }
 
 fn protection(answer: &LocateAnswer) -> ProtectionLevel {

@@ -13,6 +13,7 @@ use tonic::Status;
 use uuid::Uuid;
 
 use super::evidence::Evidence;
+use crate::grpc::decode::Told;
 use crate::grpc::invalid_field::{InvalidField, require, required};
 use crate::grpc::{decode, now_us, status};
 use crate::mapping::MappingConfig;
@@ -27,6 +28,8 @@ pub(super) struct ReceivedUpload {
     pub(super) id: Uuid,
     pub(super) contributor: String,
     pub(super) day: u16,
+    /// What the vehicle says of its data itself.
+    pub(super) told: Told,
     pub(super) body: UploadBody,
 }
 
@@ -135,7 +138,8 @@ impl<'a> UploadReceiver<'a> {
         } else {
             UploadBody::Scans(RawUpload { mounts: self.mounts, chunks: self.chunks })
         };
-        Ok(ReceivedUpload { id: self.id, contributor: header.contributor.clone(), day, body })
+        let told = Told::of(header.dropped, &header.suspected);
+        Ok(ReceivedUpload { id: self.id, contributor: header.contributor.clone(), day, told, body })
     }
 }
 
@@ -213,6 +217,7 @@ mod tests {
                 contributor: "car-7".to_owned(),
                 reference_time_us: now_us() + days * DAY_US,
                 mounts: vec![SensorMount::default()],
+                ..UploadHeader::default()
             };
             UploadReceiver::of(&header, &MappingConfig::default()).map(|_| ())
         };

@@ -1,0 +1,67 @@
+//! What a vehicle says of its own data: what it left out, and which conventions it suspects.
+
+use echofix_core::convention::{Convention, Finding};
+use echofix_proto::v1;
+
+/// Conventions that are read of one message, at most.
+const MAX_SUSPECTED: usize = 16;
+
+/// What a vehicle says of its own data. Nothing checks it: it may keep the vehicle's data out, and nothing else.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Told {
+    /// What its gates left out.
+    pub dropped: v1::DroppedDetections,
+    suspects: Vec<Convention>,
+}
+
+impl Told {
+    /// What a header or a batch says.
+    #[must_use]
+    pub fn of(dropped: Option<v1::DroppedDetections>, suspected: &[i32]) -> Self {
+        let suspected = suspected.iter().take(MAX_SUSPECTED);
+        let mut suspects: Vec<_> =
+            suspected.filter_map(|code| convention(v1::Convention::try_from(*code).ok()?)).collect();
+        suspects.sort_unstable();
+        suspects.dedup();
+        Self { dropped: dropped.unwrap_or_default(), suspects }
+    }
+
+    /// The finding that its movers outnumber what is left.
+    #[must_use]
+    pub fn mostly_moving(&self, standing: u64) -> Option<Finding> {
+        let (moving, suspects) = (self.dropped.moving, self.suspects.clone());
+        let of = moving.saturating_add(standing);
+        (moving > standing).then_some(Finding::Moving { moving, of, sensor: None, suspects })
+    }
+}
+
+fn convention(named: v1::Convention) -> Option<Convention> {
+    Some(match named {
+        v1::Convention::Unspecified => return None,
+        v1::Convention::RadialSpeedTowards => Convention::RadialSpeedTowards,
+        v1::Convention::RadialSpeedCompensated => Convention::RadialSpeedCompensated,
+        v1::Convention::RadialSpeedKmh => Convention::RadialSpeedKmh,
+        v1::Convention::AzimuthClockwise => Convention::AzimuthClockwise,
+        v1::Convention::AzimuthDegrees => Convention::AzimuthDegrees,
+        v1::Convention::YawFromNorth => Convention::YawFromNorth,
+        v1::Convention::YawFromNorthCounterClockwise => Convention::YawFromNorthCounterClockwise,
+        v1::Convention::YawClockwise => Convention::YawClockwise,
+        v1::Convention::YawDegrees => Convention::YawDegrees,
+        v1::Convention::LatLonSwapped => Convention::LatLonSwapped,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches codes of a later version that break a message, and a list without end.
+    #[test]
+    fn unknown_codes_are_passed_over() {
+        let dropped = Some(v1::DroppedDetections { moving: u64::MAX, ..v1::DroppedDetections::default() });
+        let told = Told::of(dropped, &[99, -1, 0, 3, 3]);
+        let finding = told.mostly_moving(7).unwrap();
+        assert_eq!(finding.suspects(), [Convention::RadialSpeedKmh]);
+        assert_eq!(Told::of(None, &[1; 1000]).mostly_moving(0), None);
+    }
+}
