@@ -4,6 +4,7 @@
 //! into few bytes.
 
 use echofix_core::drive::GeoPose;
+use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 use echofix_proto::v1;
@@ -11,7 +12,23 @@ use echofix_proto::v1;
 /// A mount as a message; metres and radians become `f32`.
 #[must_use]
 pub fn mount(mount: &Mount) -> v1::SensorMount {
-    v1::SensorMount { x_m: mount.x_m as f32, y_m: mount.y_m as f32, yaw_rad: mount.yaw_rad as f32 }
+    v1::SensorMount {
+        x_m: mount.x_m as f32,
+        y_m: mount.y_m as f32,
+        yaw_rad: mount.yaw_rad as f32,
+        ..v1::SensorMount::default()
+    }
+}
+
+/// The same, with how well the mount and the radar's clock are known.
+#[must_use]
+pub fn known_mount(mount: &Mount, sigma: &MountSigma) -> v1::SensorMount {
+    v1::SensorMount {
+        sigma_time_s: Some(sigma.time_s as f32),
+        sigma_position_m: Some(sigma.position_m as f32),
+        sigma_yaw_rad: Some(sigma.yaw_rad as f32),
+        ..self::mount(mount)
+    }
 }
 
 /// The geometry of scans, oldest first, as columns relative to `reference_time_us`: eight bytes a detection.

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use echofix_core::batch::Batch;
+use echofix_core::own_error::own_error;
 use echofix_proto::v1::localization_service_server::LocalizationService;
 use echofix_proto::v1::localize_stream_response::Outcome as Streamed;
 use echofix_proto::v1::{
@@ -189,11 +190,13 @@ impl Localization {
         require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
         let gate = self.locator.config().gate();
         let reference_time_us = batch.reference_time_us;
-        let batch =
+        let mut organised =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
                 .map_err(|e| InvalidField::new("batch.odometry", e))?;
+        let decode::DecodedBatch { mounts, mount_sigmas, odometry, .. } = &batch;
+        organised.own_error = own_error(&organised, odometry, reference_time_us, mounts, mount_sigmas);
         let request = LocateRequest {
-            batch,
+            batch: organised,
             at,
             yaw_rad,
             covariance: believed.covariance,
