@@ -1,9 +1,11 @@
 //! Self-calibration on simulated drives whose mounts and clocks are off.
 
+use echofix_core::calibration::clock::clock_of_batch;
 use echofix_core::calibration::{
     CalibrationConfig, CalibrationSigma, Estimated, RadarCalibration, SelfCalibration,
 };
 use echofix_core::drive::Drive;
+use echofix_core::odometry::Trajectory;
 use echofix_core::scan::Mount;
 use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
@@ -98,7 +100,8 @@ fn five_minutes_of_town_show_clock_and_mount() {
 fn errors_are_as_large_as_their_sigmas_say() {
     let floors = CalibrationSigma { late_s: 1e-3, ..CalibrationSigma::default() };
     let config = CalibrationConfig { floors, lever_scale: 0.0, ..CalibrationConfig::default() };
-    for seconds in [30.0, 100.0] {
+    // The shorter the drive, the less its few stretches are believed.
+    for (seconds, least) in [(30.0, 0.1), (200.0, 0.25)] {
         let mut sums = [0.0; 4];
         let mut most = [0.0_f64; 4];
         let seeds = 12;
@@ -114,7 +117,44 @@ fn errors_are_as_large_as_their_sigmas_say() {
         }
         println!("{seconds} s: NEES {sums:?}, most {most:?}");
         for nees in sums {
-            assert!((0.2..2.0).contains(&nees), "{seconds} s: {sums:?}");
+            assert!((least..2.0).contains(&nees), "{seconds} s: {sums:?}");
         }
+    }
+}
+
+/// What batches of five seconds say of the clock: how many there are, how many call it off, and the errors of these.
+fn batches(seeds: std::ops::Range<u64>, late_s: f64) -> (usize, usize, Vec<f64>) {
+    let (mut asked, mut errors) = (0, Vec::new());
+    for seed in seeds {
+        let drive = drive(seed, 150.0, [Fault { late_s, ..Fault::default() }; 3]);
+        let start_us = drive.scans[0].time_us;
+        for first in (0..28).map(|k| start_us + 5_000_000 * k) {
+            let range = first..first + 5_000_000;
+            let scans: Vec<_> = drive.scans.iter().filter(|scan| range.contains(&scan.time_us)).collect();
+            let poses = drive.odometry.iter().filter(|(t, _)| range.contains(t));
+            let odometry = Trajectory::new(poses).unwrap();
+            if odometry.travelled_m() < 10.0 {
+                continue;
+            }
+            asked += 1;
+            let clock = clock_of_batch(scans, &drive.mounts, &odometry);
+            errors.extend(clock.map(|clock| clock.value - late_s));
+        }
+    }
+    (asked, errors.len(), errors)
+}
+
+/// Catches: a false alarm on a sound clock, and a check that never tells.
+#[test]
+fn a_batch_that_brakes_or_turns_shows_its_late_clock() {
+    let (asked, alarms, errors) = batches(41..49, 0.0);
+    println!("sound: {alarms} of {asked} called off, {errors:?}");
+    assert!(alarms * 200 <= asked, "{alarms} of {asked} sound batches called off: {errors:?}");
+    for (late_s, least) in [(0.05, 0.1), (0.1, 0.5)] {
+        let (asked, told, errors) = batches(41..45, late_s);
+        let most = errors.iter().fold(0.0_f64, |most, error| most.max(error.abs()));
+        println!("late {late_s} s: {told} of {asked} told, most off by {most} s");
+        assert!(told as f64 >= least * asked as f64, "{late_s} s: {told} of {asked}");
+        assert!(most < 0.05, "{late_s} s: {most}");
     }
 }

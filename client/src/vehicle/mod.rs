@@ -8,6 +8,13 @@
 //! 4. [`Vehicle::accept`] judges the answer; a good one becomes the pose believed.
 //! 5. [`Vehicle::position`] is that pose, carried to now by odometry.
 //!
+//! While it drives, the vehicle calibrates its radars ([`VehicleCalibration`]): by how much their stamps are late and
+//! their mounts are off, from radial speeds against odometry. What is stated holds until the drive refutes it; then it is
+//! corrected, and each question declares how well mounts and clocks are known, which the answer's levels take in. A late
+//! clock shows with the first start or stop, a turned mount within seconds, a shifted one with the turns of some minutes.
+//! A turn that all mounts share is told from a body that slides only where its origin is the rear axle. Radars without
+//! radial speeds are not calibrated: state their errors.
+//!
 //! The vehicle has no clock: now is the time of the newest odometry pose. Asking does not borrow
 //! it, so sensors can be fed while an answer is on its way.
 

@@ -14,10 +14,12 @@
 //! scale is off. [`CalibrationConfig::floors`] holds what that leaves open.
 //!
 //! - here: [`SelfCalibration`] of a vehicle, and what it says of each radar.
+//! - [`clock`]: does one batch show that the clock is off?
 //! - [`motion`]: odometry's velocity and how it changes.
 //! - [`equation`]: one scan's equations on the calibration.
 //! - [`evidence`]: their sums by stretches of time, the solution and its covariance.
 
+pub mod clock;
 pub mod equation;
 pub mod evidence;
 pub mod motion;
