@@ -15,6 +15,7 @@
 //!
 //! - here: [`SelfCalibration`] of a vehicle, and what it says of each radar.
 //! - [`clock`]: does one batch show that the clock is off?
+//! - [`fixes`]: clock and lever arm from fixes, for radars without radial speeds.
 //! - [`motion`]: odometry's velocity and how it changes.
 //! - [`equation`]: one scan's equations on the calibration.
 //! - [`evidence`]: their sums by stretches of time, the solution and its covariance.
@@ -22,6 +23,7 @@
 pub mod clock;
 pub mod equation;
 pub mod evidence;
+pub mod fixes;
 pub mod motion;
 
 use crate::odometry::Trajectory;
