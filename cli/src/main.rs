@@ -39,6 +39,8 @@ enum Command {
     Map(commands::map::Args),
     /// Send the batches of a drive log to the service, and compare its fixes with the known poses.
     Localize(commands::localize::Args),
+    /// Find by how much mounts and clocks of a vehicle's radars are off, from its drive logs.
+    Calibrate(commands::calibrate::Args),
     /// Keep a copy of an area's map in a folder, as vehicles do.
     Tiles(commands::tiles::Args),
     /// Repeat the paper's experiments, and further ones, on simulated towns or on drive logs.
@@ -67,6 +69,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Import(args) => commands::import::run(&args, json),
         #[cfg(feature = "lab")]
         Command::Evaluate(args) => echofix_lab::evaluate::command::run(&args, json),
+        Command::Calibrate(args) => commands::calibrate::run(&args, json),
         Command::Status(args) => commands::status::run(&args, json),
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
         #[cfg(feature = "lab")]

@@ -6,6 +6,7 @@
 use echofix_core::convention::{Convention, Finding};
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::Dropped;
+use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 use echofix_proto::v1;
@@ -13,7 +14,23 @@ use echofix_proto::v1;
 /// A mount as a message; metres and radians become `f32`.
 #[must_use]
 pub fn mount(mount: &Mount) -> v1::SensorMount {
-    v1::SensorMount { x_m: mount.x_m as f32, y_m: mount.y_m as f32, yaw_rad: mount.yaw_rad as f32 }
+    v1::SensorMount {
+        x_m: mount.x_m as f32,
+        y_m: mount.y_m as f32,
+        yaw_rad: mount.yaw_rad as f32,
+        ..v1::SensorMount::default()
+    }
+}
+
+/// The same, with how well the mount and the radar's clock are known.
+#[must_use]
+pub fn known_mount(mount: &Mount, sigma: &MountSigma) -> v1::SensorMount {
+    v1::SensorMount {
+        sigma_time_s: Some(sigma.time_s as f32),
+        sigma_position_m: Some(sigma.position_m as f32),
+        sigma_yaw_rad: Some(sigma.yaw_rad as f32),
+        ..self::mount(mount)
+    }
 }
 
 /// The geometry of scans, oldest first, as columns relative to `reference_time_us`: eight bytes a detection, and

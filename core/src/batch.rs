@@ -33,7 +33,14 @@ pub struct Sighting {
     pub age_s: f64,
     /// Where odometry says the body was, in the frame of the batch.
     pub body: Pose2,
+    /// The radar's index in the list of mounts.
+    pub sensor: usize,
 }
+
+/// What the vehicle's own errors, of its mounts and clocks, do to the answer: the covariance of (forward m, left m,
+/// yaw rad) in the body's frame at the reference time. None by default; [`crate::own_error`] works it out.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct OwnError(pub [[f64; 3]; 3]);
 
 /// A batch: points in the frame of the body at the reference time.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -54,6 +61,8 @@ pub struct Batch {
     pub speed_mps: f64,
     /// What seems to be in another convention than the contract's.
     pub findings: Vec<Finding>,
+    /// What the vehicle's own errors do to the answer.
+    pub own_error: OwnError,
 }
 
 impl Batch {
@@ -92,7 +101,7 @@ impl Batch {
             }
             let body = to_body.compose(&scan.body);
             let age_s = (reference_time_us - scan.time_us) as f64 * 1e-6;
-            sightings.push(Sighting { first: points.len(), age_s, body });
+            sightings.push(Sighting { first: points.len(), age_s, body, sensor: scan.sensor });
             let sensor = body.compose(scan.mount);
             let (s, c) = sensor.yaw_rad.sin_cos();
             let [x0, y0, s, c] = [sensor.x_m, sensor.y_m, s, c].map(|v| v as f32);
@@ -105,7 +114,18 @@ impl Batch {
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
         let detections = rows as u64;
         let findings = findings(scans, mounts, odometry, dropped.moving, points.len() as u64);
-        Ok(Self { points, sightings, detections, dropped, duration_s, travelled_m, speed_mps, findings })
+        let own_error = OwnError::default();
+        Ok(Self {
+            points,
+            sightings,
+            detections,
+            dropped,
+            duration_s,
+            travelled_m,
+            speed_mps,
+            findings,
+            own_error,
+        })
     }
 }
 

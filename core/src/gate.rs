@@ -204,6 +204,8 @@ fn is_mover(scan: &Scan, row: usize, mount: &Mount, v: BodyVelocity, max_residua
 /// What the gate leaves of a scan.
 #[derive(Debug, Clone, Copy)]
 pub struct GatedScan<'a> {
+    /// Index into the list of mounts.
+    pub sensor: usize,
     /// Time of the scan, microseconds since the Unix epoch (UTC).
     pub time_us: i64,
     /// The body at that time, in the trajectory's frame.
@@ -264,7 +266,7 @@ where
             let velocity = gate.pass_scan(velocity, scan.range_m.len(), &mut dropped);
             let (Some(body), Some(velocity)) = (body, velocity) else { return };
             let points = RowGate::new(gate, mount, velocity, scan).apply(scan, &mut points, &mut dropped);
-            visit(GatedScan { time_us: scan.time_us, body, mount, points });
+            visit(GatedScan { sensor: scan.sensor, time_us: scan.time_us, body, mount, points });
         };
         if at_once(&scan) {
             pass(&scan);

@@ -65,7 +65,9 @@
 //! - [`doppler`]: the vehicle's own velocity and corrected odometry from radial speeds.
 //! - [`gate`]: which detections pass, and why the others are dropped.
 //! - [`convention`]: data in another convention than the contract's, told in words.
+//! - [`calibration`]: mounts and clocks of the radars, from the drive itself.
 //! - [`batch`]: scans and odometry become one set of points in the frame of the newest pose.
+//! - [`mod@own_error`]: what errors of the mounts and clocks do to the answer.
 //! - [`evidence`]: what a map cell knows; the evidence delta of an upload, and how it is built from scans
 //!   and poses; the inverse sensor model.
 //! - [`tile`]: 512 x 512 cells of 10 cm, sparse, with their codec; who voted; what is served.
@@ -82,6 +84,7 @@
 pub mod agreement;
 pub mod align;
 pub mod batch;
+pub mod calibration;
 pub mod convention;
 pub mod datum;
 pub mod doppler;
@@ -91,6 +94,7 @@ pub mod gate;
 pub mod geo;
 pub mod odometry;
 pub mod once;
+pub mod own_error;
 pub mod point;
 pub mod pose;
 pub mod scan;

@@ -107,7 +107,7 @@ fn batch(structure: &[[f64; 2]], rng: &mut ChaCha8Rng) -> Batch {
     for scan in 0..50_u32 {
         let age_s = 0.1 * f64::from(49 - scan);
         let body = Pose2::new(-10.0 * age_s, 0.0, 0.0);
-        batch.sightings.push(Sighting { first: batch.points.len(), age_s, body });
+        batch.sightings.push(Sighting { first: batch.points.len(), age_s, body, sensor: 0 });
         for _ in 0..80 {
             let [x, y] = structure[rng.random_range(0..structure.len())];
             let [x_m, y_m] = [x, y].map(|v| (v + rng.random_range(-0.1..0.1)) as f32);

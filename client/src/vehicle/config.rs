@@ -3,6 +3,8 @@
 use echofix_core::doppler::dedrift::OdometryBias;
 use echofix_core::gate::Gate;
 
+use super::VehicleCalibration;
+
 /// How a [`Vehicle`](super::Vehicle) collects, asks and judges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VehicleConfig {
@@ -19,6 +21,8 @@ pub struct VehicleConfig {
     /// How odometry may err within a batch, for the radars' radial speeds to correct it; `None` to
     /// leave it as it is. Radars that measure no radial speed correct nothing.
     pub odometry_bias: Option<OdometryBias>,
+    /// How well mounts and clocks of the radars are known, and what becomes of what the drive says of them.
+    pub calibration: VehicleCalibration,
     /// A prior is never called better known than this, metres: the search must reach past a fix
     /// that was overconfident.
     pub min_prior_sigma_position_m: f64,
@@ -44,6 +48,7 @@ impl Default for VehicleConfig {
             max_odometry_gap_s: 0.5,
             drift: DriftModel::default(),
             odometry_bias: Some(OdometryBias::default()),
+            calibration: VehicleCalibration::default(),
             min_prior_sigma_position_m: 0.5,
             min_prior_sigma_yaw_rad: 1_f64.to_radians(),
             integrity_risk: 0.0,

@@ -8,14 +8,23 @@
 //! 4. [`Vehicle::accept`] judges the answer; a good one becomes the pose believed.
 //! 5. [`Vehicle::position`] is that pose, carried to now by odometry.
 //!
+//! While it drives, the vehicle calibrates its radars ([`VehicleCalibration`]): by how much their stamps are late and
+//! their mounts are off, from radial speeds against odometry. What is stated holds until the drive refutes it; then it is
+//! corrected, and each question declares how well mounts and clocks are known, which the answer's levels take in. A late
+//! clock shows with the first start or stop, a turned mount within seconds, a shifted one with the turns of some minutes.
+//! A turn that all mounts share is told from a body that slides only where its origin is the rear axle. Radars without
+//! radial speeds are not calibrated: state their errors.
+//!
 //! The vehicle has no clock: now is the time of the newest odometry pose. Asking does not borrow
 //! it, so sensors can be fed while an answer is on its way.
 
 mod anchor;
+mod calibrator;
 mod config;
 mod verdict;
 mod window;
 
+pub use calibrator::{CalibrationUse, RadarInUse, VehicleCalibration};
 pub use config::{AlertLimits, DriftModel, VehicleConfig};
 pub use verdict::{Fix, Rejection};
 
@@ -32,6 +41,7 @@ use echofix_proto::v1;
 
 use crate::wire;
 use anchor::Anchor;
+use calibrator::Calibrator;
 use window::ScanWindow;
 
 /// Why a measurement is not taken.
@@ -133,6 +143,7 @@ pub struct VehiclePosition {
 pub struct Vehicle {
     config: VehicleConfig,
     window: ScanWindow,
+    calibrator: Calibrator,
     anchor: Option<Anchor>,
     /// A pose from outside that odometry does not cover yet.
     ahead: Option<GeoPose>,
@@ -143,7 +154,14 @@ impl Vehicle {
     /// A vehicle with these radars.
     #[must_use]
     pub fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
-        Self { config, window: ScanWindow::new(config, mounts), anchor: None, ahead: None, last_fix_us: None }
+        Self {
+            config,
+            calibrator: Calibrator::new(config.calibration, mounts.clone()),
+            window: ScanWindow::new(config, mounts),
+            anchor: None,
+            ahead: None,
+            last_fix_us: None,
+        }
     }
 
     /// Takes a scan; scans of several radars may come slightly out of order, and may run ahead of
@@ -151,8 +169,13 @@ impl Vehicle {
     ///
     /// # Errors
     /// When the scan is malformed, of an unknown radar, too late or far ahead of odometry.
-    pub fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
-        self.window.push_scan(scan)
+    pub fn push_scan(&mut self, mut scan: Scan) -> Result<(), Error> {
+        let late_s = self.calibrator.radars().get(scan.sensor).map_or(0.0, |radar| radar.late_s);
+        let as_it_came = scan.clone();
+        scan.time_us = scan.time_us.saturating_sub(window::micros(late_s));
+        self.window.push_scan(scan)?;
+        self.calibrator.push_scan(&as_it_came);
+        Ok(())
     }
 
     /// Takes an odometry pose: microseconds since the Unix epoch, and the pose of the body in any
@@ -162,6 +185,9 @@ impl Vehicle {
     /// When the time does not increase or the pose is not finite.
     pub fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {
         self.window.push_odometry(time_us, pose)?;
+        if self.calibrator.push_odometry(time_us, pose) {
+            self.window.set_mounts(self.calibrator.radars().iter().map(|radar| radar.mount));
+        }
         if let Some(pose) = self.ahead.take_if(|pose| pose.time_us <= time_us) {
             // It was checked when it came; by now the window may have left it behind.
             let _ = self.push_pose(pose);
@@ -255,6 +281,13 @@ impl Vehicle {
         Some(VehiclePosition { pose, fix_age_s })
     }
 
+    /// The radars as they are used now: mounts and clocks, how well they are known, and what the drive says of them.
+    /// Worth keeping when the trip ends: the next one may start with these mounts.
+    #[must_use]
+    pub fn radars(&self) -> &[RadarInUse] {
+        self.calibrator.radars()
+    }
+
     /// Detections dropped by the gates since the beginning, by the reason.
     #[must_use]
     pub fn dropped(&self) -> Dropped {
@@ -281,7 +314,7 @@ impl Vehicle {
     fn batch(&self, poses: &Trajectory, to_us: i64) -> v1::Batch {
         v1::Batch {
             reference_time_us: to_us,
-            mounts: self.window.mounts().iter().map(wire::mount).collect(),
+            mounts: self.radars().iter().map(|r| wire::known_mount(&r.mount, &r.sigma)).collect(),
             scans: Some(wire::scans(self.window.scans(), to_us)),
             odometry: Some(wire::odometry(poses.iter(), to_us)),
             dropped: Some(wire::dropped(&self.window.dropped_lately())),

@@ -94,6 +94,13 @@ impl ScanWindow {
         &self.gated
     }
 
+    /// Radars that turned out to sit elsewhere.
+    pub(super) fn set_mounts(&mut self, mounts: impl Iterator<Item = Mount>) {
+        for (mount, corrected) in self.mounts.iter_mut().zip(mounts) {
+            *mount = corrected;
+        }
+    }
+
     pub(super) fn mounts(&self) -> &[Mount] {
         &self.mounts
     }

@@ -144,6 +144,8 @@ impl Findings<'_> {
         covariance[(0, 0)] += floor;
         covariance[(1, 1)] += floor;
         covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
-        covariance
+        let question = &self.ranking.question;
+        let yaw_rad = question.prior.corrected(&best.correction).yaw_rad;
+        covariance + Matrix3::from(super::combine::turned(&question.batch.own_error.0, yaw_rad))
     }
 }

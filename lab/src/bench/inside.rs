@@ -141,7 +141,7 @@ impl InProcessService {
     }
 
     fn organised(&self, batch: &decode::DecodedBatch) -> anyhow::Result<Batch> {
-        let decode::DecodedBatch { reference_time_us, mounts, scans, odometry } = batch;
+        let decode::DecodedBatch { reference_time_us, mounts, scans, odometry, .. } = batch;
         let gate = self.config.locating.gate();
         Ok(Batch::organise(scans.iter(), mounts, odometry, *reference_time_us, &gate)?)
     }

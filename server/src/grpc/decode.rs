@@ -5,6 +5,7 @@ use echofix_core::convention::Convention;
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
 use echofix_core::odometry::{self, Trajectory};
+use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
 use echofix_core::time::DAY_US;
@@ -43,6 +44,8 @@ pub struct DecodedBatch {
     pub reference_time_us: i64,
     /// Where the radars sit on the vehicle.
     pub mounts: Vec<Mount>,
+    /// How well mounts and clocks are known, one a mount.
+    pub mount_sigmas: Vec<MountSigma>,
     /// Scans, as they came.
     pub scans: ScanColumns,
     /// The vehicle's way in its odometry frame.
@@ -60,12 +63,13 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<DecodedBatch, Inva
         required(batch, field)?;
     let at = |name: &str| format!("{field}.{name}");
     reference_time(reference_time_us, &at("reference_time_us"))?;
+    let mount_sigmas = mount_sigmas(&mounts, &at("mounts"))?;
     let mounts = self::mounts(&mounts, &at("mounts"))?;
     let columns = required(columns, &at("scans"))?;
     let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
     let odometry = odometry(required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
     let told = Told::of(dropped, &suspected);
-    Ok(DecodedBatch { reference_time_us, mounts, scans, odometry, told })
+    Ok(DecodedBatch { reference_time_us, mounts, mount_sigmas, scans, odometry, told })
 }
 
 /// A time on a day that the map can count.
@@ -99,6 +103,30 @@ pub fn mounts(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<Mount>, Inv
     }
     let mount = |m: &v1::SensorMount| Mount::new(m.x_m.into(), m.y_m.into(), m.yaw_rad.into());
     Ok(mounts.iter().map(mount).collect())
+}
+
+/// How well mounts and clocks are known; the contract's defaults where a message is silent.
+///
+/// # Errors
+/// When a sigma is negative, not finite, or larger than any vehicle.
+pub fn mount_sigmas(mounts: &[v1::SensorMount], field: &str) -> Result<Vec<MountSigma>, InvalidField> {
+    let silent = MountSigma::default();
+    let sigma = |m: &v1::SensorMount| MountSigma {
+        time_s: m.sigma_time_s.map_or(silent.time_s, f64::from),
+        position_m: m.sigma_position_m.map_or(silent.position_m, f64::from),
+        yaw_rad: m.sigma_yaw_rad.map_or(silent.yaw_rad, f64::from),
+    };
+    let sound = |m: &MountSigma| {
+        [m.time_s, m.position_m, m.yaw_rad].iter().all(|s| (0.0..=f64::from(MAX_MOUNT_M)).contains(s))
+    };
+    let sigmas: Vec<_> = mounts.iter().map(sigma).collect();
+    match sigmas.iter().position(|m| !sound(m)) {
+        Some(row) => Err(InvalidField::new(
+            format!("{field}[{row}]"),
+            "has a one-sigma error that is negative, not finite or above 100; leave out what is not known",
+        )),
+        None => Ok(sigmas),
+    }
 }
 
 /// The vehicle's way in its odometry frame.

@@ -10,6 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use echofix_core::batch::Batch;
+use echofix_core::calibration::Estimated;
+use echofix_core::calibration::clock::clock_of_batch;
+use echofix_core::own_error::{MountSigma, own_error};
 use echofix_proto::v1::localization_service_server::LocalizationService;
 use echofix_proto::v1::localize_stream_response::Outcome as Streamed;
 use echofix_proto::v1::{
@@ -136,7 +139,10 @@ impl Localization {
         let (at, reference_time_us) = (asked.request.at, asked.reference_time_us);
         let batch = BatchFacts::of(&asked.request.batch);
         let answer = self.locator.locate(&asked.request, &mut admitted).map_err(|r| self.refuse(&r))?;
-        let response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
+        let mut response = response(&answer, reference_time_us, asked.alert_limit_m, &batch);
+        if let Some(clock) = &asked.clock {
+            response.status_reason.push_str(&clock_in_words(clock));
+        }
         self.record(&answer, &response, at.lat_deg, at.lon_deg);
         let check = self.is_sampled().then(|| SampledCheck { request: asked.request, answer, admitted });
         Ok((response, check))
@@ -188,13 +194,20 @@ impl Localization {
         require((0.0..1.0).contains(&risk), "requirement.integrity_risk", "must be a probability below 1")?;
         require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
         let gate = self.locator.config().gate();
-        let (reference_time_us, told) = (batch.reference_time_us, batch.told);
-        let mut batch =
+        let reference_time_us = batch.reference_time_us;
+        let mut organised =
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
                 .map_err(|e| InvalidField::new("batch.odometry", e))?;
-        batch.findings.extend(told.mostly_moving(batch.points.len() as u64));
+        organised.findings.extend(batch.told.mostly_moving(organised.points.len() as u64));
+        let decode::DecodedBatch { mounts, mount_sigmas, odometry, .. } = &batch;
+        // A clock that is off as the batch itself shows is no better known than by how much it is off.
+        let clock = clock_of_batch(batch.scans.iter(), mounts, odometry);
+        let known =
+            |m: &MountSigma| MountSigma { time_s: clock.map_or(0.0, |c| c.value).hypot(m.time_s), ..*m };
+        let sigmas: Vec<_> = mount_sigmas.iter().map(known).collect();
+        organised.own_error = own_error(&organised, odometry, reference_time_us, mounts, &sigmas);
         let request = LocateRequest {
-            batch,
+            batch: organised,
             at,
             yaw_rad,
             covariance: believed.covariance,
@@ -204,7 +217,7 @@ impl Localization {
             deadline,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
-        Ok(DecodedRequest { request, reference_time_us, alert_limit_m: limit })
+        Ok(DecodedRequest { request, reference_time_us, alert_limit_m: limit, clock })
     }
 
     fn count(&self, outcome: &'static str) {
@@ -248,6 +261,16 @@ impl Localization {
     }
 }
 
+/// What the batch says of its clock, to follow the reason of the status.
+fn clock_in_words(clock: &Estimated) -> String {
+    let word = if clock.value > 0.0 { "late" } else { "early" };
+    format!(
+        "; the radars' clock is {word} by {:.0} +- {:.0} ms against odometry, which the levels take in",
+        1e3 * clock.value.abs(),
+        1e3 * clock.sigma
+    )
+}
+
 /// An answer that is to be repeated with an exact engine.
 struct SampledCheck {
     request: LocateRequest,
@@ -276,4 +299,6 @@ struct DecodedRequest {
     request: LocateRequest,
     reference_time_us: i64,
     alert_limit_m: f64,
+    /// By how much the radars' clock is off, where the batch shows it.
+    clock: Option<Estimated>,
 }
