@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
+use crate::datum::PoseSigma;
 use crate::drive::GeoPose;
 use crate::drive::segment::{DriveSegment, split_segments};
 use crate::evidence::{EvidenceAccumulator, EvidenceDelta};
@@ -38,6 +39,8 @@ pub struct BuiltEvidence {
     pub delta: EvidenceDelta,
     /// Detections that were dropped.
     pub dropped: Dropped,
+    /// How well the poses are known that it was mapped from: the largest sigmas among them.
+    pub sigma: PoseSigma,
 }
 
 /// Why no evidence can be built from an upload.
@@ -106,6 +109,8 @@ struct DeltaBuilder<'a> {
     dropped: Dropped,
     /// Poses that are not known well enough.
     uncertain: usize,
+    /// The largest sigmas of those that are.
+    sigma: PoseSigma,
 }
 
 impl<'a> DeltaBuilder<'a> {
@@ -117,6 +122,7 @@ impl<'a> DeltaBuilder<'a> {
             detections: 0,
             dropped: Dropped::default(),
             uncertain: 0,
+            sigma: PoseSigma::default(),
         }
     }
 
@@ -130,6 +136,10 @@ impl<'a> DeltaBuilder<'a> {
             let (covered, rest) = rest.split_at(rest.partition_point(|scan| scan.time_us <= last.time_us));
             self.dropped.without_pose += detections(before);
             self.segment(segment, covered, mounts)?;
+            for pose in segment.poses.iter().filter(|_| !covered.is_empty()) {
+                let sigma = PoseSigma::declared(pose.sigma_position_m, pose.sigma_yaw_rad);
+                self.sigma = self.sigma.larger(sigma);
+            }
             scans = rest;
         }
         self.dropped.without_pose += detections(scans);
@@ -169,9 +179,9 @@ impl<'a> DeltaBuilder<'a> {
 
     /// The delta; where no detection counts, the main reason.
     fn finish(self, sent: u64) -> Result<BuiltEvidence, BuildError> {
-        let Self { limits, accumulator, detections, dropped, uncertain, .. } = self;
+        let Self { limits, accumulator, detections, dropped, uncertain, sigma, .. } = self;
         if detections > 0 {
-            return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped });
+            return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped, sigma });
         }
         let Dropped { too_slow, too_far, moving, without_pose } = dropped;
         let main = too_slow.max(too_far).max(moving).max(without_pose);
