@@ -31,7 +31,14 @@ fn upload(zone: Zone, number: u32) -> UploadRecord {
     let contribution =
         EvidenceDelta { tiles: tiles.collect(), detections: u64::from(CELLS) * TILES as u64 * 2 };
     let pass = Pass { day: 20_000 + (number / 1000) as u16, contributor: u64::from(number) };
-    UploadRecord { id: Uuid::now_v7(), pass, forget_before: 0, contribution, answer: vec![7; 400] }
+    UploadRecord {
+        id: Uuid::now_v7(),
+        pass,
+        forget_before: 0,
+        declared: None,
+        contribution,
+        answer: vec![7; 400],
+    }
 }
 
 /// How often work can be done in a second.

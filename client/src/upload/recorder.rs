@@ -288,7 +288,7 @@ impl Recorder {
         let sigmas = poses
             .fold([0.0_f64; 2], |[p, y], pose| [p.max(pose.sigma_position_m), y.max(pose.sigma_yaw_rad)]);
         match build_evidence(raw, &self.config.evidence()) {
-            Ok(BuiltEvidence { delta, dropped }) => {
+            Ok(BuiltEvidence { delta, dropped, .. }) => {
                 self.dropped.add(&dropped);
                 upload.add_evidence(&delta, sigmas);
                 Some(upload)

@@ -140,12 +140,12 @@ impl Findings<'_> {
     /// The candidate's own covariance, and what no number of returns can reduce: the map's own error.
     fn covariance(&self, best: &RefinedCandidate, integrity: &Integrity) -> Matrix3<f64> {
         let mut covariance = best.covariance(integrity.temperature);
-        let floor = integrity.map_variance(self.ranking.question.view.typical_passes());
-        covariance[(0, 0)] += floor;
-        covariance[(1, 1)] += floor;
-        covariance[(2, 2)] += integrity.floor_yaw_rad.powi(2);
-        let question = &self.ranking.question;
-        let yaw_rad = question.prior.corrected(&best.correction).yaw_rad;
-        covariance + Matrix3::from(super::combine::turned(&question.batch.own_error.0, yaw_rad))
+        let on_map = self.ranking.question.prior.corrected(&best.correction);
+        let map = integrity.map_variance(&self.ranking.map_error(&on_map, integrity.map_pose_m));
+        for (axis, variance) in map.into_iter().enumerate() {
+            covariance[(axis, axis)] += variance;
+        }
+        let own = &self.ranking.question.batch.own_error.0;
+        covariance + Matrix3::from(super::combine::turned(own, on_map.yaw_rad))
     }
 }

@@ -64,6 +64,8 @@ pub const UNHELD_RAD: f64 = 0.5;
 pub struct Localizability {
     /// Covariance of (east m, north m, yaw rad), the map's own error included.
     pub covariance: [[f64; 3]; 3],
+    /// The map's own part of it along each axis, square metres.
+    pub map_m2: f64,
     /// Log-likelihood by which a fix can be expected to exceed the best candidate elsewhere, nats; below 0 where
     /// they differ by less than by chance, infinite without any other.
     pub margin: f64,
@@ -92,6 +94,7 @@ impl Localizability {
             [0.0, UNHELD_M * UNHELD_M, 0.0],
             [0.0, 0.0, UNHELD_RAD * UNHELD_RAD],
         ],
+        map_m2: 0.0,
         margin: 0.0,
         rival: None,
         points: 0,
@@ -193,12 +196,12 @@ impl Assessor {
         let slope = field.sharpened().slope(points, &prior.pose, prior.scale);
         let [xx, xy, yy, xt, yt, tt] = slope.curvature.map(|c| -c / integrity.temperature);
         let mut covariance = bounded(Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt)) * SIGMA_FACTOR.powi(2);
-        let floor = integrity.map_variance(ranking.question.view.typical_passes());
-        for (axis, floor) in [floor, floor, integrity.floor_yaw_rad.powi(2)].into_iter().enumerate() {
-            covariance[(axis, axis)] += floor;
+        let map = integrity.map_variance(&ranking.map_error(&prior.pose, integrity.map_pose_m));
+        for (axis, variance) in map.into_iter().enumerate() {
+            covariance[(axis, axis)] += variance;
         }
         let rival = rival.map(|rival| rival.correction);
-        Localizability { covariance: covariance.into(), margin, rival, points: points.len() }
+        Localizability { covariance: covariance.into(), map_m2: map[0], margin, rival, points: points.len() }
     }
 }
 

@@ -3,6 +3,7 @@
 use super::engine::SearchQuestion;
 use super::refine::RefinedCandidate;
 use super::score::ScoreField;
+use crate::datum::MapVariance;
 use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
 
@@ -52,6 +53,14 @@ impl Ranking<'_> {
         let on_map = |point: &WeightedPoint| pose.to_map(point.position(), scale);
         let passed = self.sample().filter(|point| passes(on_map(point))).count();
         if passed > 0 { passed as f64 / self.sample().len() as f64 } else { 0.0 }
+    }
+
+    /// How far the map may err as a whole under the points, seen by a body at a pose; see [`super::view::MapView::map_error`].
+    #[must_use]
+    pub fn map_error(&self, pose: &Pose2, pose_m: f64) -> MapVariance {
+        let scale = self.question.prior.scale;
+        let on_map = |point: &WeightedPoint| pose.to_map(point.position(), scale);
+        self.question.view.map_error(self.sample().map(on_map), pose_m)
     }
 
     fn sample(&self) -> impl ExactSizeIterator<Item = &WeightedPoint> {

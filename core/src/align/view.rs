@@ -4,8 +4,8 @@
 
 use std::sync::Arc;
 
-use super::weights::{COARSE, KNOWN, PassSums, TileWeights};
-use crate::datum::mean_offset;
+use super::weights::{COARSE, KNOWN, TileWeights};
+use crate::datum::{MapVariance, mean_offset};
 use crate::geo::{CELLS_PER_TILE, TileId};
 use crate::point::MapPoint;
 use crate::pose::Pose2;
@@ -141,23 +141,23 @@ impl MapView {
         })
     }
 
-    /// Passes over the cell of a typical hit: how many surveys the map here amounts to. Most hits are those of the
-    /// busiest street, though the batch may be aligned by another one. Therefore a second figure bounds it, in which each
-    /// tile counts by its hits in one pass, however often it was driven through.
+    /// How far the map may err as a whole under some positions: the mean over the tiles that they lie in, by what each tile's
+    /// passes declared and how they scatter ([`crate::datum::Datum::variance`]). The errors of one pass are alike from
+    /// tile to tile, so that many tiles do not average them out. A tile that knows of no passes counts as those over its
+    /// cells, each of `pose_m` (metres).
     #[must_use]
-    pub fn typical_passes(&self) -> f64 {
-        let tiles = &self.window().tiles;
-        let sum = |sums: PassSums, tile: &Arc<TileWeights>| sums.plus(&tile.passes);
-        let typical = tiles.iter().fold(PassSums::default(), sum).mean();
-        let (mut weight, mut variance) = (0.0, 0.0);
-        for tile in tiles {
-            let passes =
-                if tile.datum.passes > 0 { f64::from(tile.datum.passes) } else { tile.passes.mean() };
-            let hits_of_a_pass = tile.passes.hits / passes;
-            weight += hits_of_a_pass;
-            variance += hits_of_a_pass / passes;
-        }
-        if variance > 0.0 { typical.min(weight / variance) } else { typical }
+    pub fn map_error(&self, positions: impl Iterator<Item = MapPoint>, pose_m: f64) -> MapVariance {
+        let (zone, tiles) = (self.square().zone, &self.window().tiles);
+        let variance = |tile: &TileWeights| {
+            let position_m2 = pose_m * pose_m / tile.passes.mean();
+            tile.datum.variance().unwrap_or(MapVariance { position_m2, yaw_rad2: 0.0 })
+        };
+        let at = |position| tiles.iter().find(|tile| tile.id == TileId::of(zone, position));
+        let under = MapVariance::mean(positions.filter_map(|p| at(p)).map(|tile| variance(tile)));
+        // Nothing lies on the map: such an answer is not used, and gets what the window as a whole has.
+        under
+            .or_else(|| MapVariance::mean(tiles.iter().map(|tile| variance(tile))))
+            .unwrap_or(MapVariance { position_m2: pose_m * pose_m, yaw_rad2: 0.0 })
     }
 }
 
@@ -188,7 +188,7 @@ mod tests {
     use super::*;
     use crate::evidence::Cell;
     use crate::evidence::presence::ALWAYS;
-    use crate::geo::{CELL_M, Zone};
+    use crate::geo::{CELL_M, TILE_M, Zone};
     use crate::tile::Tile;
 
     #[test]
@@ -215,7 +215,9 @@ mod tests {
             }
         }
         let total: u64 = view.fine().weights.iter().map(|v| u64::from(*v)).sum();
-        assert!(total > 0 && (view.typical_passes() - 2.0).abs() < 1e-9);
+        assert!(
+            total > 0 && (view.map_error([position].into_iter(), 0.08).position_m2 - 0.0032).abs() < 1e-9
+        );
         assert!(
             view.tile_at(square.corner().moved(-CELL_M, 0.0)).is_none() && view.tile_at(position).is_some()
         );
@@ -235,6 +237,10 @@ mod tests {
         let x = TileId::of(zone, position).x;
         let mut view = MapView::default();
         view.assemble(MapSquare::around(zone, position, 50.0, 6.0), &[driven(x, 3), driven(x + 1, 200)]);
-        assert!((5.8..6.0).contains(&view.typical_passes()), "{}", view.typical_passes());
+        let sigma = |at: &[MapPoint]| view.map_error(at.iter().copied(), 0.08).position_m2.sqrt();
+        let (lane, avenue) = (position, position.moved(TILE_M, 0.0));
+        assert!((sigma(&[lane]) - 0.08 / 3_f64.sqrt()).abs() < 1e-6);
+        assert!((sigma(&[avenue]) - 0.08 / 200_f64.sqrt()).abs() < 1e-6);
+        assert!(sigma(&[lane, lane, avenue]) > 0.8 * sigma(&[lane]));
     }
 }

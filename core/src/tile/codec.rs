@@ -1,16 +1,17 @@
 //! The bytes of a tile and of a ledger.
 //!
 //! ```text
-//! magic "EFT" or "EFL" | format version 2 or 3 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
+//! magic "EFT" or "EFL" | format version 2, 3 or 4 (1 byte) | CRC-32C of all that follows (4 bytes, LE) | zstd frame
 //! ```
 //!
 //! The frame holds LEB128 varints, one column after the other: a column's values resemble each
 //! other, so they pack better together than cell by cell. Indices are stored as distances, presences
-//! as what is missing from always; of blocks, only those that are not 0. The datum comes last.
+//! as what is missing from always; of blocks, only those that are not 0. The datum comes last. A tile is of version 3, or of version 4 when a pass in it
+//! declared how well its poses are known: then the sums of those follow. A ledger is of version 2.
 
 use super::votes::EncodedVotes;
 use super::{CELLS, Ledger, Tile};
-use crate::datum::Datum;
+use crate::datum::{Datum, DeclaredSums};
 use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
 pub use crate::sealed::DecodeError;
@@ -18,6 +19,7 @@ use crate::sealed::{self, SealedFormat};
 use crate::varint::{VarintReader, VarintWriter};
 
 const TILE: SealedFormat = SealedFormat { magic: *b"EFT", version: 3 };
+const DECLARED_TILE: SealedFormat = SealedFormat { version: 4, ..TILE };
 const LEDGER: SealedFormat = SealedFormat { magic: *b"EFL", version: 2 };
 const ZSTD_LEVEL: i32 = 3;
 /// A full tile's columns stay below this; anything larger is not ours.
@@ -47,7 +49,37 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
     for sum in [tile.datum.shift_mm[0], tile.datum.shift_mm[1], tile.datum.yaw_urad] {
         out.put_signed(sum);
     }
-    TILE.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
+    let declared = &tile.datum.declared;
+    let format = if declared.passes > 0 { DECLARED_TILE } else { TILE };
+    if declared.passes > 0 {
+        put_declared(&mut out, declared);
+    }
+    format.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
+}
+
+fn put_declared(out: &mut VarintWriter, sums: &DeclaredSums) {
+    out.put(u64::from(sums.passes));
+    for sum in [sums.shift_mm[0], sums.shift_mm[1], sums.yaw_urad] {
+        out.put_signed(sum);
+    }
+    for sum in [sums.weighted_shift[0], sums.weighted_shift[1], sums.weighted_yaw] {
+        out.put_signed(sum);
+    }
+    out.put_all(sums.information.into_iter().chain(sums.squares));
+}
+
+fn declared(input: &mut VarintReader<'_>, passes: u32) -> Option<DeclaredSums> {
+    let sums = DeclaredSums {
+        passes: input.get().filter(|declared| (1..=passes).contains(declared))?,
+        shift_mm: [input.get_signed()?, input.get_signed()?],
+        yaw_urad: input.get_signed()?,
+        weighted_shift: [input.get_signed()?, input.get_signed()?],
+        weighted_yaw: input.get_signed()?,
+        information: [input.get()?, input.get()?],
+        squares: [input.get()?, input.get()?],
+    };
+    // What weighs nothing has no mean.
+    (!sums.information.contains(&0)).then_some(sums)
 }
 
 /// The tile of its bytes.
@@ -55,12 +87,13 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
 /// # Errors
 /// When the bytes are not a tile's, are damaged, or break the format.
 pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
-    let frame = TILE.unseal(bytes)?;
-    let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
-    tile(&mut VarintReader { rest: &body }).ok_or(DecodeError::Malformed)
+    let newer = bytes.get(3).is_some_and(|version| *version > TILE.version);
+    let format = if newer { DECLARED_TILE } else { TILE };
+    let body = sealed::decompressed(format.unseal(bytes)?, MAX_DECODED).ok_or(DecodeError::Malformed)?;
+    tile(&mut VarintReader { rest: &body }, newer).ok_or(DecodeError::Malformed)
 }
 
-fn tile(input: &mut VarintReader<'_>) -> Option<Tile> {
+fn tile(input: &mut VarintReader<'_>, has_declared: bool) -> Option<Tile> {
     let count = input.count()?;
     let base_day: u16 = input.get()?;
     let index = input.ascending(count, CELLS)?;
@@ -96,7 +129,11 @@ fn tile(input: &mut VarintReader<'_>) -> Option<Tile> {
         passes: input.get()?,
         shift_mm: [input.get_signed()?, input.get_signed()?],
         yaw_urad: input.get_signed()?,
+        ..Datum::default()
     };
+    if has_declared {
+        tile.datum.declared = declared(input, tile.datum.passes)?;
+    }
     input.finish()?;
     Some(tile)
 }
@@ -156,8 +193,10 @@ fn sparse<T: TryFrom<u64>>(input: &mut VarintReader<'_>, values: &mut [T]) -> Op
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{folded, uploads};
+    use super::super::tests::{folded, hits, uploads};
     use super::*;
+    use crate::datum::{Offset, PoseSigma};
+    use crate::evidence::TileEvidence;
     use proptest::prelude::*;
 
     proptest! {
@@ -182,8 +221,28 @@ mod tests {
             // Past the checksum, and past the compression, too.
             let _ = decode(&TILE.seal(&body));
             let _ = decode(&TILE.seal(&sealed::compressed(&body, 1)));
+            let _ = decode(&DECLARED_TILE.seal(&sealed::compressed(&body, 1)));
             let _ = decode_ledger(&LEDGER.seal(&sealed::compressed(&body, 1)));
         }
+    }
+
+    /// Catches: sums that are lost on disk, and a version that every tile takes: what nobody declared anything of keeps its
+    /// bytes.
+    #[test]
+    fn only_tiles_with_declared_sigmas_are_of_the_newer_format() {
+        let (mut tile, mut ledger) = (Tile::default(), Ledger::default());
+        let evidence = TileEvidence::of_hits(hits(&[(3, 1), (90, 2)].into()));
+        let offset = Offset { east_mm: -120, north_mm: 40, yaw_urad: -900 };
+        let sigmas =
+            [PoseSigma::default(), PoseSigma::declared(0.25, 0.007), PoseSigma::declared(0.05, 0.002)];
+        for (contributor, sigma) in (0..).zip(sigmas) {
+            let pass = Pass { day: 20_000, contributor };
+            tile.fold_moved(&mut ledger, pass, &evidence, offset, sigma);
+            let bytes = encode(&tile);
+            assert_eq!(bytes[3], if contributor == 0 { 3 } else { 4 });
+            assert_eq!(decode(&bytes).as_ref(), Ok(&tile));
+        }
+        assert_eq!(decode(b"EFT\x05....").unwrap_err(), DecodeError::Version { found: 5, known: 4 });
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::ledger::{CellNews, News};
 use super::{Ledger, Tile};
-use crate::datum::Offset;
+use crate::datum::{Offset, PoseSigma};
 use crate::evidence::{Cell, CellHits, Pass, TileEvidence, presence, view_block};
 
 impl Tile {
@@ -12,13 +12,21 @@ impl Tile {
     /// present; one that fades altogether is dropped. Its cells must be in order of their
     /// index, as [`crate::evidence::EvidenceDelta`] holds them.
     pub fn fold(&mut self, ledger: &mut Ledger, pass: Pass, evidence: &TileEvidence) {
-        self.fold_moved(ledger, pass, evidence, Offset::default());
+        self.fold_moved(ledger, pass, evidence, Offset::default(), PoseSigma::default());
     }
 
-    /// The same with evidence that was moved onto the map, by `offset` at the tile's centre.
-    pub fn fold_moved(&mut self, ledger: &mut Ledger, pass: Pass, evidence: &TileEvidence, offset: Offset) {
+    /// The same with evidence that was moved onto the map, by `offset` at the tile's centre; its poses are known to
+    /// `sigma`. A pass counts once in the datum, with its first upload.
+    pub fn fold_moved(
+        &mut self,
+        ledger: &mut Ledger,
+        pass: Pass,
+        evidence: &TileEvidence,
+        offset: Offset,
+        sigma: PoseSigma,
+    ) {
         if !ledger.knows(pass) {
-            self.datum.add(offset);
+            self.datum.add(offset, sigma);
         }
         let news = ledger.record(pass, evidence);
         for block in news.observed.iter() {

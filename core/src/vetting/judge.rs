@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::matching::{MatchingLimits, PartMatch, PartMatcher};
 use super::part::{UploadPart, parts};
 use super::{MapSide, Offsets, TileHits};
-use crate::datum::{Offset, mean_offset};
+use crate::datum::{Datum, Offset, PoseSigma, mean_offset};
 use crate::geo::TileId;
 use crate::pose::Pose2;
 
@@ -15,7 +15,8 @@ use crate::pose::Pose2;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VettingLimits {
     /// Shift beyond which an upload is wrong, metres, from the map less its own offset. That is a mean, which of few
-    /// passes errs itself: `sqrt(1 + 1 / passes)` times as much is allowed.
+    /// passes errs itself: `sqrt(1 + 1 / passes)` times as much is allowed, and more where what the upload and the map's
+    /// passes declare of their poses is worse than what is assumed of those that declare nothing.
     pub shift_m: f64,
     /// The same for the turn, radians.
     pub yaw_rad: f64,
@@ -98,7 +99,7 @@ pub struct JudgedPart {
 /// The verdict on a part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PartVerdict {
-    /// None: the map knows too little there.
+    /// None: the map knows too little there, or it fits elsewhere and where it was expected as well.
     None,
     /// It matches nowhere.
     Lost,
@@ -129,9 +130,16 @@ impl Excess {
 }
 
 impl Vetter {
-    /// Compares an upload, its cells in one zone, with the map.
-    pub fn vet(&mut self, tiles: &[TileHits], map: &dyn MapSide, limits: &VettingLimits) -> Vetted {
-        together(&self.judge_parts(tiles, map, limits))
+    /// Compares an upload, its cells in one zone, with the map. `declared` is how well its poses are known; `None` for
+    /// an upload of before there were declarations, which is judged as it was then.
+    pub fn vet(
+        &mut self,
+        tiles: &[TileHits],
+        map: &dyn MapSide,
+        limits: &VettingLimits,
+        declared: Option<PoseSigma>,
+    ) -> Vetted {
+        together(&self.judge_parts(tiles, map, limits, declared))
     }
 
     /// The parts of an upload and the verdict on each: what [`Vetter::vet`] rests on.
@@ -140,27 +148,81 @@ impl Vetter {
         tiles: &[TileHits],
         map: &dyn MapSide,
         limits: &VettingLimits,
+        declared: Option<PoseSigma>,
     ) -> Vec<JudgedPart> {
         let mut prepared = BTreeMap::new();
         let mut judged = Vec::new();
         for part in parts(tiles, limits.matching.extent_m) {
             let id = TileId::of(part.zone, part.middle);
             let expected = mean_offset(part.zone, part.middle, |id| map.datum(id));
-            let young = (1.0 + 1.0 / f64::from(map.datum(id).passes.max(1))).sqrt();
-            let found = self.matcher.find(&part, &expected, map, &mut prepared, &limits.matching);
-            let verdict = found.map_or(PartVerdict::None, |found| part_verdict(&found, young, limits));
+            let doubt = Doubt::of(declared, &map.datum(id));
+            let matching = doubt.matching(limits);
+            let found = self.matcher.find(&part, &expected, map, &mut prepared, &matching);
+            let verdict = found.map_or(PartVerdict::None, |found| part_verdict(&found, &doubt, limits));
             judged.push(JudgedPart { part, expected, found, verdict });
         }
         judged
     }
 }
 
-fn part_verdict(at: &PartMatch, young: f64, limits: &VettingLimits) -> PartVerdict {
-    let sigma = [limits.sigma_m, limits.sigma_m, limits.sigma_yaw_rad].map(|s| s * young);
+/// Standard errors by which the places of a part must agree.
+const AGREED: f64 = 3.0;
+
+/// How far an honest upload and the map's mean may differ, relative to an upload that declares nothing beside a mean
+/// that does not err.
+struct Doubt {
+    shift: f64,
+    turn: f64,
+    /// Judged as uploads were before there were declarations.
+    of_before: bool,
+}
+
+impl Doubt {
+    fn of(declared: Option<PoseSigma>, datum: &Datum) -> Self {
+        let assumed = PoseSigma::default();
+        let Some(sigma) = declared else {
+            let young = (1.0 + 1.0 / f64::from(datum.passes.max(1))).sqrt();
+            return Self { shift: young, turn: young, of_before: true };
+        };
+        let mean = datum.variance();
+        let relative = |own: f64, mean: Option<f64>, assumed: f64| {
+            ((own * own + mean.unwrap_or(assumed * assumed)) / (assumed * assumed)).sqrt()
+        };
+        Self {
+            shift: relative(sigma.position_m(), mean.map(|v| v.position_m2), assumed.position_m()),
+            turn: relative(sigma.yaw_rad(), mean.map(|v| v.yaw_rad2), assumed.yaw_rad()),
+            of_before: false,
+        }
+    }
+
+    /// What is allowed, relative to the limits: a good declaration does not make them stricter.
+    fn allowed(&self) -> [f64; 2] {
+        [self.shift.max(1.0), self.turn.max(1.0)]
+    }
+
+    /// How to match: what is allowed is near.
+    fn matching(&self, limits: &VettingLimits) -> MatchingLimits {
+        let MatchingLimits { near_m, near_yaw_rad, .. } = limits.matching;
+        if self.of_before {
+            return limits.matching;
+        }
+        let [shift, turn] = self.allowed();
+        MatchingLimits {
+            near_m: near_m.max(limits.shift_m * shift),
+            near_yaw_rad: near_yaw_rad.max(limits.yaw_rad * turn),
+            ..limits.matching
+        }
+    }
+}
+
+fn part_verdict(at: &PartMatch, doubt: &Doubt, limits: &VettingLimits) -> PartVerdict {
+    let sigma =
+        [limits.sigma_m * doubt.shift, limits.sigma_m * doubt.shift, limits.sigma_yaw_rad * doubt.turn];
     let error = drawn(&at.error, &at.covariance, sigma);
+    let [shift, turn] = doubt.allowed();
     let excess = Excess {
-        shift: error.x_m.hypot(error.y_m) / limits.shift_m / young,
-        turn: error.yaw_rad.abs() / limits.yaw_rad / young,
+        shift: error.x_m.hypot(error.y_m) / limits.shift_m / shift,
+        turn: error.yaw_rad.abs() / limits.yaw_rad / turn,
     };
     let held = at.covariance.iter().all(|v| v.is_finite());
     let fits = held && at.contrast >= limits.min_contrast;
@@ -175,9 +237,14 @@ fn part_verdict(at: &PartMatch, young: f64, limits: &VettingLimits) -> PartVerdi
     }
     // It matches elsewhere than expected: that means something only where the map is known.
     let clear = fits && !at.at_edge && at.margin >= limits.matching.min_margin;
-    match (known, clear) {
+    // Where a street repeats itself it fits a pitch away as well: then it is neither moved nor kept out.
+    let places = at.elsewhere.filter(|_| !doubt.of_before);
+    let agreed = places.is_none_or(|places| places.clear >= AGREED);
+    let fits_here_too = places.is_some_and(|places| places.at_home >= AGREED);
+    match (known, clear && agreed) {
         (false, _) => PartVerdict::None,
         (true, true) => here,
+        (true, false) if fits_here_too => PartVerdict::None,
         (true, false) => PartVerdict::Lost,
     }
 }

@@ -15,7 +15,7 @@ use crate::align::weights::TileWeights;
 use crate::align::{EngineKind, Prior, Search};
 use crate::batch::Batch;
 use crate::geo::TileId;
-use crate::point::MapPoint;
+use crate::point::{MapPoint, WeightedPoint};
 use crate::pose::Pose2;
 use crate::window::MapSquare;
 
@@ -81,7 +81,63 @@ pub struct PartMatch {
     pub margin: f64,
     /// True when it lies on the edge of the search.
     pub at_edge: bool,
+    /// Of a part that was matched elsewhere than expected, what its places say; `None` of one that was matched near there.
+    pub elsewhere: Option<Places>,
 }
+
+/// What the places of a part say of where it lies, in standard errors: a score's difference, summed up place by place, against
+/// how it scatters from place to place. Neighbouring returns, and what a vehicle saw again and again where it stood or
+/// crawled, are one place: they make no difference surer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Places {
+    /// How far they agree that it fits where it was matched better than where it was expected, and better than at the best
+    /// candidate elsewhere: the lesser of the two.
+    pub clear: f64,
+    /// How far they agree that it fits where it was expected better than at a random shift.
+    pub at_home: f64,
+}
+
+impl Places {
+    fn of(ranking: &Ranking, best: &RefinedCandidate, limits: &MatchingLimits) -> Option<Self> {
+        let home = home(ranking, limits).map_or(EXPECTED.correction, |home| home.correction);
+        if best.correction == home {
+            return None;
+        }
+        let question = &ranking.question;
+        let (prior, field) = (question.prior, &ranking.field);
+        let value = |point: &WeightedPoint, correction: &Pose2| {
+            field.value(std::iter::once(point), &prior.corrected(correction), prior.scale)
+        };
+        let better = |there: &Pose2| {
+            errors(question.thinned, |point| value(point, &best.correction) - value(point, there))
+        };
+        let next =
+            ranking.best_beyond(&best.correction).map_or(f64::INFINITY, |next| better(&next.correction));
+        let shifts: Vec<Pose2> = (0..25)
+            .map(|i| [i % 5 - 2, i / 5 - 2].map(|step| 0.5 * limits.reach_m * f64::from(step)))
+            .map(|[x, y]| Pose2::new(x, y, 0.0))
+            .collect();
+        let above = |point: &WeightedPoint| {
+            let mean = shifts.iter().map(|shift| value(point, shift)).sum::<f64>() / shifts.len() as f64;
+            value(point, &home) - mean
+        };
+        Some(Self { clear: better(&home).min(next), at_home: errors(question.thinned, above) })
+    }
+}
+
+/// The sum over places, in standard errors of it.
+fn errors(points: &[WeightedPoint], of: impl Fn(&WeightedPoint) -> f64) -> f64 {
+    let mut places: BTreeMap<[i32; 2], f64> = BTreeMap::new();
+    for point in points {
+        let place = [point.x_m, point.y_m].map(|along| (along / PLACE_M).floor() as i32);
+        *places.entry(place).or_default() += of(point);
+    }
+    let (sum, squares) = places.values().fold((0.0, 0.0), |(sum, squares), d| (sum + d, squares + d * d));
+    if squares > 0.0 { sum / f64::sqrt(squares) } else { 0.0 }
+}
+
+/// Side of a place, metres: a parked car, a bay, a few posts.
+const PLACE_M: f32 = 6.4;
 
 /// The expected position as a candidate: the prior, uncorrected.
 const EXPECTED: Candidate = Candidate { correction: Pose2::IDENTITY, score: 0.0, at_edge: false };
@@ -152,7 +208,17 @@ fn matched(ranking: &Ranking, limits: &MatchingLimits) -> PartMatch {
         contrast: if background > 0.0 { best.score / background } else { 0.0 },
         margin,
         at_edge: best.at_edge || question.lattice.is_left_by(&sharp.correction),
+        elsewhere: Places::of(ranking, &best, limits),
     }
+}
+
+/// The best candidate near the expected position.
+fn home<'a>(ranking: &Ranking<'a>, limits: &MatchingLimits) -> Option<&'a RefinedCandidate> {
+    let near = |candidate: &&RefinedCandidate| {
+        candidate.correction.distance_m(&Pose2::IDENTITY) <= limits.near_m
+            && candidate.correction.yaw_rad.abs() <= limits.near_yaw_rad
+    };
+    ranking.refined.iter().find(near)
 }
 
 /// The candidate near the expected position unless another one is better by far, else the best one; and by how
@@ -160,12 +226,9 @@ fn matched(ranking: &Ranking, limits: &MatchingLimits) -> PartMatch {
 fn chosen(ranking: &Ranking, limits: &MatchingLimits) -> (RefinedCandidate, f64) {
     let Some(best) = ranking.refined.first() else { return (RefinedCandidate::NONE, 0.0) };
     let nats = ranking.question.thinned.len() as f64 / limits.score_temperature;
-    let near = |candidate: &&RefinedCandidate| {
-        candidate.correction.distance_m(&Pose2::IDENTITY) <= limits.near_m
-            && candidate.correction.yaw_rad.abs() <= limits.near_yaw_rad
-    };
-    let home = ranking.refined.iter().find(near);
-    let here = home.filter(|home| nats * (best.score - home.score) < limits.min_margin).unwrap_or(best);
+    let here = home(ranking, limits)
+        .filter(|home| nats * (best.score - home.score) < limits.min_margin)
+        .unwrap_or(best);
     let next = ranking.best_beyond(&here.correction);
     (*here, next.map_or(f64::INFINITY, |next| nats * (here.score - next.score)))
 }

@@ -53,8 +53,7 @@ impl Forecaster {
         let square = MapSquare::around(map.zone(), position, search.extent_m, REACH_M);
         let tiles = self.windows.weights(map, square);
         let here = self.assessor.assess(square, &tiles, position, &search, &integrity);
-        let noise =
-            here.sigma_horizontal_m().powi(2) - 2.0 * integrity.map_variance(base.contributors as f64);
+        let noise = here.sigma_horizontal_m().powi(2) - 2.0 * here.map_m2;
         for row in rows.iter_mut().filter(|row| row.condition == *base) {
             row.forecast = expected_word(here.expected(&integrity));
             row.forecast_m = Some(noise.max(0.0).sqrt());

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context;
+use echofix_core::datum::{Offset, PoseSigma};
 use echofix_core::drive::segment::{SegmentLimits, usable_segments};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{EvidenceAccumulator, Pass};
@@ -90,6 +91,7 @@ impl RadarMap {
         let grid = Grid::new(self.zone)?;
         let scans = gated(drive, self.key.movers);
         let (mut accumulator, mut day) = (EvidenceAccumulator::default(), None);
+        let mut sigma = PoseSigma::default();
         for poses in usable_segments(&drive.reference, &mapped_from(max_sigma_m)) {
             let scale = grid.scale_factor(poses[0].at)?;
             let trajectory = on_grid(&grid, poses)?;
@@ -98,6 +100,7 @@ impl RadarMap {
             // Movers are dropped already: odometry shows them better than absolute poses would.
             let gate = Movers::Included.gate();
             accumulator.add(self.zone, &scans[from..to], &drive.mounts, &trajectory, scale, &gate)?;
+            sigma = sigma.larger(declared(poses));
             day = day.or(u16::try_from(poses[0].time_us.div_euclid(DAY_US)).ok());
         }
         let day = day.with_context(|| {
@@ -109,7 +112,8 @@ impl RadarMap {
         for (id, evidence) in accumulator.finish(0).tiles {
             // The whole drive is folded at once, so that no ledger is needed.
             let pass = Pass { day, contributor };
-            self.tiles.entry(id).or_default().fold(&mut Ledger::default(), pass, &evidence);
+            let (tile, ledger) = (self.tiles.entry(id).or_default(), &mut Ledger::default());
+            tile.fold_moved(ledger, pass, &evidence, Offset::default(), sigma);
         }
         Ok(())
     }
@@ -155,6 +159,12 @@ pub fn on_grid(grid: &Grid, poses: &[GeoPose]) -> anyhow::Result<Trajectory> {
         trajectory.push(pose.time_us, grid.pose_from_geodetic(pose.at, pose.yaw_rad)?)?;
     }
     Ok::<_, odometry::Error>(trajectory).map_err(Into::into)
+}
+
+/// What a contributor declares of poses: the largest sigmas among them.
+pub fn declared(poses: &[GeoPose]) -> PoseSigma {
+    let of = |pose: &GeoPose| PoseSigma::declared(pose.sigma_position_m, pose.sigma_yaw_rad);
+    poses.iter().map(of).fold(PoseSigma::default(), PoseSigma::larger)
 }
 
 /// Which poses a map is made from: those known to `max_sigma_m` or better, whatever the sigma of their heading.

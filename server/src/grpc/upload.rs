@@ -100,7 +100,8 @@ impl MappingApi {
         let response = response(id, &contributed, &told.dropped);
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.delta, response.encode_to_vec());
-        match self.store.commit(UploadRecord { id, pass, forget_before, contribution, answer })? {
+        let declared = Some(contributed.sigma);
+        match self.store.commit(UploadRecord { id, pass, forget_before, declared, contribution, answer })? {
             Receipt::Counted { epoch } => {
                 tracing::debug!(epoch, "upload counted");
                 Ok(UploadResponse { epoch, ..response })

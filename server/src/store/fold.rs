@@ -60,10 +60,11 @@ fn fold(
         VettingOutcome::Counts(counts) => counts,
         VettingOutcome::Quarantined(quarantined) => return Ok(Some(quarantined)),
     };
+    let sigma = upload.declared.unwrap_or_default();
     for (id, evidence, offset) in counts {
         let folded = buffer.change(id, number)?;
         folded.ledger.forget_before(upload.forget_before);
-        folded.tile.fold_moved(&mut folded.ledger, upload.pass, &evidence, offset);
+        folded.tile.fold_moved(&mut folded.ledger, upload.pass, &evidence, offset, sigma);
     }
     Ok(None)
 }

@@ -67,6 +67,7 @@ pub use vetting::QuarantinedRecord;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use echofix_core::datum::PoseSigma;
 use echofix_core::evidence::{EvidenceDelta, Pass};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::{self, Tile};
@@ -127,6 +128,9 @@ pub struct UploadRecord {
     /// Uploads of days before this one are no longer taken, so the votes of their passes may be
     /// forgotten; 0 forgets none. It is in the record, so that folding it again gives the same.
     pub forget_before: u16,
+    /// How well the poses are known that it was mapped from, as declared. `None` in records of before there were
+    /// declarations: they are vetted and folded as they were then.
+    pub declared: Option<PoseSigma>,
     /// Its evidence delta. Near a zone border it holds the tiles of both zones.
     pub contribution: EvidenceDelta,
     /// The answer that was given, repeated to retries (an encoded `UploadResponse`).

@@ -1,5 +1,6 @@
 //! Uploads for tests.
 
+use echofix_core::datum::PoseSigma;
 use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence, VIEW_BLOCKS};
 use echofix_core::geo::{TileId, Zone};
 use proptest::prelude::*;
@@ -23,11 +24,15 @@ pub(crate) fn uploads() -> impl Strategy<Value = UploadRecord> {
     });
     let tiles = prop::collection::btree_map(tile, evidence, 1..5);
     let pass = (20_000..20_003_u16, 0..3_u64).prop_map(|(day, contributor)| Pass { day, contributor });
-    (any::<u128>(), pass, tiles, any::<Vec<u8>>()).prop_map(|(id, pass, tiles, answer)| {
-        let detections = tiles.values().map(TileEvidence::detections).sum();
-        let contribution = EvidenceDelta { tiles, detections };
-        UploadRecord { id: Uuid::from_u128(id), pass, forget_before: 0, contribution, answer }
-    })
+    let sigma = (0.01..0.3_f64, 0.001..0.01_f64).prop_map(|(m, rad)| PoseSigma::declared(m, rad));
+    let declared = prop::option::of(prop_oneof![Just(PoseSigma::default()), sigma]);
+    (any::<u128>(), pass, tiles, any::<Vec<u8>>(), declared).prop_map(
+        |(id, pass, tiles, answer, declared)| {
+            let detections = tiles.values().map(TileEvidence::detections).sum();
+            let contribution = EvidenceDelta { tiles, detections };
+            UploadRecord { id: Uuid::from_u128(id), pass, forget_before: 0, declared, contribution, answer }
+        },
+    )
 }
 
 /// The same uploads in every run.

@@ -76,7 +76,7 @@ impl Vetting {
             };
             let cells: Vec<_> =
                 evidence_by_tile.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
-            let vetted = self.vetter.vet(&cells, &others, &limits);
+            let vetted = self.vetter.vet(&cells, &others, &limits, upload.declared);
             if let Some(error) = others.within.into_inner().failed {
                 return Err(error);
             }

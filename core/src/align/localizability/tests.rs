@@ -1,6 +1,7 @@
 //! Maps made of walls, poles and parked cars.
 
 use super::*;
+use crate::datum::MapVariance;
 use crate::evidence::{Cell, presence};
 use crate::geo::{CellIndex, TileId, Zone};
 use crate::tile::Tile;
@@ -58,7 +59,7 @@ fn pole(at: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
 fn an_even_wall_is_weak_along_itself() {
     let along_x = assessed(wall(8.0, 1).chain(wall(-9.0, 2)));
     assert!(along_x.weak_direction_rad().abs() < 0.1, "{along_x:?}");
-    let floor = Integrity::default().map_variance(1.0);
+    let floor = Integrity::default().map_variance(&MapVariance { position_m2: 0.0064, yaw_rad2: 0.0 })[0];
     let [along, across] = [0, 1].map(|axis: usize| along_x.covariance[axis][axis] - floor);
     assert!(along > 9.0 * across, "{along_x:?}");
     let along_y = assessed(wall(8.0, 1).chain(wall(-9.0, 2)).map(|[x, y]| [y, x]));

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
 use crate::convention::{Finding, Inspection, inspect_onto};
+use crate::datum::PoseSigma;
 use crate::drive::GeoPose;
 use crate::drive::segment::{DriveSegment, split_segments};
 use crate::evidence::{EvidenceAccumulator, EvidenceDelta};
@@ -40,6 +41,8 @@ pub struct BuiltEvidence {
     pub delta: EvidenceDelta,
     /// Detections that were dropped.
     pub dropped: Dropped,
+    /// How well the poses are known that it was mapped from: the largest sigmas among them.
+    pub sigma: PoseSigma,
 }
 
 /// Why no evidence can be built from an upload.
@@ -121,6 +124,8 @@ struct DeltaBuilder<'a> {
     uncertain: usize,
     /// Looks at poses, and at scans where most seems to move.
     inspection: Inspection,
+    /// The largest sigmas of those that are.
+    sigma: PoseSigma,
 }
 
 impl<'a> DeltaBuilder<'a> {
@@ -133,6 +138,7 @@ impl<'a> DeltaBuilder<'a> {
             dropped: Dropped::default(),
             uncertain: 0,
             inspection: Inspection::default(),
+            sigma: PoseSigma::default(),
         }
     }
 
@@ -147,6 +153,10 @@ impl<'a> DeltaBuilder<'a> {
             let (covered, rest) = rest.split_at(rest.partition_point(|scan| scan.time_us <= last.time_us));
             self.dropped.without_pose += detections(before);
             self.segment(segment, covered, mounts)?;
+            for pose in segment.poses.iter().filter(|_| !covered.is_empty()) {
+                let sigma = PoseSigma::declared(pose.sigma_position_m, pose.sigma_yaw_rad);
+                self.sigma = self.sigma.larger(sigma);
+            }
             scans = rest;
         }
         self.dropped.without_pose += detections(scans);
@@ -189,7 +199,7 @@ impl<'a> DeltaBuilder<'a> {
 
     /// The delta; where no detection counts, the main reason.
     fn finish(self, sent: u64) -> Result<BuiltEvidence, BuildError> {
-        let Self { limits, accumulator, detections, dropped, uncertain, inspection, .. } = self;
+        let Self { limits, accumulator, detections, dropped, uncertain, inspection, sigma, .. } = self;
         if let Some(finding) = inspection.mostly_moving(dropped.moving, detections) {
             return Err(BuildError::MostlyMoving(finding));
         }
@@ -198,7 +208,7 @@ impl<'a> DeltaBuilder<'a> {
             return Err(BuildError::WrongConvention(finding));
         }
         if detections > 0 {
-            return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped });
+            return Ok(BuiltEvidence { delta: accumulator.finish(detections), dropped, sigma });
         }
         let Dropped { too_slow, too_far, off_height, moving, without_pose } = dropped;
         let main = too_slow.max(too_far).max(off_height).max(moving).max(without_pose);

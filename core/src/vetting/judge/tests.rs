@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::align::weights::TileWeights;
-use crate::datum::Datum;
+use crate::datum::{Datum, PoseSigma};
 use crate::evidence::{Cell, CellHits, presence};
 use crate::geo::{CELL_M, CellIndex, Zone};
 use crate::point::MapPoint;
@@ -84,7 +84,7 @@ impl Map {
         let tile =
             |hits: &Vec<CellHits>| Tile::from_cells(hits.iter().map(cell).collect()).expect("in order");
         let mut datum = Datum::default();
-        (0..10).for_each(|_| datum.add(err));
+        (0..10).for_each(|_| datum.add(err, PoseSigma::default()));
         Self { tiles: cells.iter().map(|(id, hits)| (*id, tile(hits))).collect(), datum }
     }
 }
@@ -105,7 +105,7 @@ fn tile_hits(cells: &Cells) -> Vec<TileHits<'_>> {
 }
 
 fn vetted(cells: &Cells, map: &Map) -> Vetted {
-    Vetter::default().vet(&tile_hits(cells), map, &VettingLimits::default())
+    Vetter::default().vet(&tile_hits(cells), map, &VettingLimits::default(), Some(PoseSigma::default()))
 }
 
 fn true_map() -> Map {
@@ -187,4 +187,18 @@ fn the_crowds_mean_is_what_an_upload_is_held_against() {
         panic!("{found:?}")
     };
     assert!((offset.pose().x_m + 0.75).abs() < 0.15, "{offset:?}");
+}
+
+/// Catches: a limit that an honest contributor of declared 0.3 m keeps in four cases of five only, and old uploads that are
+/// judged anew.
+#[test]
+fn what_is_declared_to_be_uncertain_may_be_farther_off() {
+    let map = true_map();
+    let upload = seen(&street(1, 1), Pose2::new(0.0, -0.75, 0.0), 8);
+    let judged =
+        |declared| Vetter::default().vet(&tile_hits(&upload), &map, &VettingLimits::default(), declared);
+    assert!((agreed(&judged(Some(PoseSigma::declared(0.3, 0.007)))).y_m - 0.75).abs() < 0.1);
+    for strict in [None, Some(PoseSigma::default()), Some(PoseSigma::declared(0.03, 0.001))] {
+        assert!(matches!(judged(strict), Vetted::Quarantined { reason: Reason::Shifted, .. }), "{strict:?}");
+    }
 }

@@ -60,7 +60,7 @@ impl CrowdMap {
         let cells: Vec<_> =
             upload.delta.tiles.iter().map(|(id, evidence)| (*id, &evidence.cells[..])).collect();
         let others = OthersEvidence { folded: &self.folded, contributor: upload.pass.contributor };
-        self.vetter.vet(&cells, &others, &self.limits)
+        self.vetter.vet(&cells, &others, &self.limits, Some(upload.sigma))
     }
 
     /// Vets an upload and folds it. Returns the evidence as it was folded, or `None` when the upload is quarantined.
@@ -91,7 +91,13 @@ impl FoldedMap {
         let evidence: Vec<_> = upload.delta.tiles.iter().map(|(id, evidence)| (*id, evidence)).collect();
         for (id, evidence, offset) in moved_evidence(&evidence, offsets) {
             let ledger = self.ledgers.entry(id).or_default();
-            self.tiles.entry(id).or_default().fold_moved(ledger, upload.pass, &evidence, offset);
+            self.tiles.entry(id).or_default().fold_moved(
+                ledger,
+                upload.pass,
+                &evidence,
+                offset,
+                upload.sigma,
+            );
             for near in id.with_neighbours() {
                 self.prepared.get_mut().unwrap_or_else(PoisonError::into_inner).remove(&near);
             }

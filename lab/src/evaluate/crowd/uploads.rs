@@ -1,6 +1,7 @@
 //! The uploads of a drive, as a vehicle cuts and sends them.
 
 use echofix_client::upload::RecorderConfig;
+use echofix_core::datum::PoseSigma;
 use echofix_core::drive::segment::usable_segments;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{EvidenceAccumulator, EvidenceDelta, Pass, SENT_STEPS};
@@ -10,7 +11,7 @@ use echofix_core::pose::Pose2;
 use echofix_core::scan::Scan;
 use echofix_core::time::DAY_US;
 
-use crate::evaluate::map::{Movers, gated, mapped_from, on_grid};
+use crate::evaluate::map::{Movers, declared, gated, mapped_from, on_grid};
 
 /// One upload, as it reaches the service.
 #[derive(Debug, Clone)]
@@ -19,6 +20,8 @@ pub struct VehicleUpload {
     pub pass: Pass,
     /// Its evidence delta.
     pub delta: EvidenceDelta,
+    /// What its contributor declares of its poses.
+    pub sigma: PoseSigma,
 }
 
 /// How a vehicle makes uploads of its drives.
@@ -113,7 +116,8 @@ fn upload(
         accumulator.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;
     let delta = accumulator.finish(placed);
     let day = u16::try_from(poses[0].time_us.div_euclid(DAY_US))?;
-    Ok((delta.detections > 0).then_some(VehicleUpload { pass: Pass { day, contributor }, delta }))
+    let sigma = declared(poses);
+    Ok((delta.detections > 0).then_some(VehicleUpload { pass: Pass { day, contributor }, delta, sigma }))
 }
 
 #[cfg(test)]

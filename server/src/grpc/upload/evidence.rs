@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use echofix_core::datum::PoseSigma;
 use echofix_core::evidence::build::{BuildError, BuiltEvidence};
 use echofix_core::evidence::{EvidenceDelta, codec};
 use echofix_core::gate::Dropped;
@@ -84,7 +85,8 @@ impl Evidence {
         // whatever library encoded them, equal evidence then gives the same record. Folding decodes the record, not this
         // value, so that it does the same now and at a replay.
         let contribution = EvidenceDelta { detections, ..contribution };
-        Ok(BuiltEvidence { delta: contribution, dropped: Dropped::default() })
+        let sigma = PoseSigma::declared(self.sigma_position_m, self.sigma_yaw_rad);
+        Ok(BuiltEvidence { delta: contribution, dropped: Dropped::default(), sigma })
     }
 }
 

@@ -31,6 +31,7 @@ fn street(contributor: u64, [east, north]: [i64; 2]) -> UploadRecord {
         id: Uuid::from_u128(contributor.into()),
         pass: Pass { day: 20_000, contributor },
         forget_before: 0,
+        declared: None,
         contribution: EvidenceDelta { tiles, detections },
         answer: Vec::new(),
     }
@@ -48,7 +49,7 @@ fn numbers(id: TileId, tile: &Tile) -> Vec<u8> {
     }
     put(&tile.observed().map(i64::from));
     put(&tile.support().map(i64::from));
-    let Datum { passes, shift_mm: [east, north], yaw_urad } = tile.datum();
+    let Datum { passes, shift_mm: [east, north], yaw_urad, .. } = tile.datum();
     put(&[passes.into(), east, north, yaw_urad]);
     bytes
 }
