@@ -38,6 +38,8 @@ pub enum Family {
     Dense,
     /// A quarter to half of the returns.
     Sparse,
+    /// Two to six times the clutter, and no more than the usual returns.
+    Cluttered,
     /// A 4D radar with some 1000 detections a scan.
     Imaging,
     /// A spinning radar, which measures no radial speeds.
@@ -70,7 +72,7 @@ pub enum Family {
 
 impl Family {
     /// All of them, in the order of the reports.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::Town,
         Self::CrowdOfThree,
         Self::CrowdOfOne,
@@ -79,6 +81,7 @@ impl Family {
         Self::TunnelJoints,
         Self::Dense,
         Self::Sparse,
+        Self::Cluttered,
         Self::Imaging,
         Self::Spinning,
         Self::Corners,
@@ -107,6 +110,7 @@ impl Family {
             Self::TunnelJoints => "tunnel",
             Self::Dense => "dense",
             Self::Sparse => "sparse",
+            Self::Cluttered => "clutter",
             Self::Imaging => "imaging",
             Self::Spinning => "spinning",
             Self::Corners => "corners",

@@ -125,6 +125,7 @@ impl Family {
             }
             Self::Dense => FamilyRange { density: (2.0, 4.0), clutter: (2.0, 4.0), ..CROWD },
             Self::Sparse => FamilyRange { density: (0.25, 0.5), clutter: (0.25, 1.0), ..CROWD },
+            Self::Cluttered => FamilyRange { density: (0.5, 1.0), clutter: (2.0, 6.0), ..CROWD },
             Self::Imaging => FamilyRange { rig: Rig::Imaging, contributors: (3, 5), publish: 2, ..TOWN },
             Self::Spinning => FamilyRange { rig: Rig::Spinning, contributors: (1, 5), ..TOWN },
             Self::Corners => FamilyRange { rig: Rig::Corners, contributors: (1, 5), ..TOWN },

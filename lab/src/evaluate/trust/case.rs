@@ -65,7 +65,10 @@ fn lies(quick: bool) -> Vec<Case> {
     let sigmas: &[u32] = if quick { &[0, 4, 6] } else { &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10] };
     for k in sigmas.iter().copied().map(f64::from) {
         add(&format!("{k:.0} sigma along"), k, PriorLie::Along(k), 2);
-        add(&format!("{k:.0} sigma across"), k, PriorLie::Across(k), 2);
+        // Without an offset there is no direction.
+        if k > 0.0 {
+            add(&format!("{k:.0} sigma across"), k, PriorLie::Across(k), 2);
+        }
     }
     add("8 m off", 8.0, PriorLie::Metres(8.0, 8.0), 4);
     add("12 to 30 m off", 21.0, PriorLie::Metres(12.0, 30.0), 8);

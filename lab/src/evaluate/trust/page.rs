@@ -47,6 +47,11 @@ fn permille(fraction: f64) -> String {
     if fraction == 0.0 { "0".to_owned() } else { format!("{:.1}", 1e3 * fraction) }
 }
 
+/// A figure, or a dash where there is none.
+fn number(value: f64, digits: usize) -> String {
+    if value.is_finite() { format!("{value:.digits$}") } else { "-".to_owned() }
+}
+
 fn by_case(tallies: &[CaseTally]) -> String {
     let columns = [
         "",
@@ -71,7 +76,9 @@ fn by_case(tallies: &[CaseTally]) -> String {
 fn case_line(tally: &CaseTally) -> String {
     let CaseTally { case, all, .. } = tally;
     let worst = |figure: &dyn Fn(&Tally) -> f64, words: fn(f64) -> String| {
-        tally.worst(figure).map_or_else(String::new, |(family, figure)| format!("{} {family}", words(figure)))
+        // Where none is bad, none is the worst.
+        let worst = tally.worst(figure).filter(|(_, figure)| *figure > 0.0);
+        worst.map_or_else(|| "0".to_owned(), |(family, figure)| format!("{} {family}", words(figure)))
     };
     let least_usable = tally.worst(|t| -t.usable_rate());
     let least_usable = least_usable.map_or_else(String::new, |(f, rate)| format!("{} {f}", percent(-rate)));
@@ -79,10 +86,10 @@ fn case_line(tally: &CaseTally) -> String {
     let worst_nees = tally
         .worst(nees_off)
         .and_then(|(family, _)| Some(format!("{:.2} {family}", tally.families.get(family)?.worst_nees())));
-    let nees = [0, 1, 2].map(|axis| format!("{:.2}", tally.mean(|t| t.nees[axis]))).join(", ");
+    let nees = [0, 1, 2].map(|axis| number(tally.mean(|t| t.nees[axis]), 2)).join(", ");
     let [along, cross, yaw] = all.beyond;
     format!(
-        "{case} | {} | {} | {} | {least_usable} | {} | {} | {} | {} | {along}, {cross}, {yaw} | {} | {} | {nees} | {} | {:.0}, {:.0}",
+        "{case} | {} | {} | {} | {least_usable} | {} | {} | {} | {} | {along}, {cross}, {yaw} | {} | {} | {nees} | {} | {}, {}",
         all.batches,
         all.questions,
         percent(tally.mean(Tally::usable_rate)),
@@ -92,9 +99,9 @@ fn case_line(tally: &CaseTally) -> String {
         worst(&Tally::wrong_rate, permille),
         permille(tally.mean(Tally::beyond_rate)),
         worst(&Tally::beyond_rate, permille),
-        worst_nees.unwrap_or_default(),
-        100.0 * all.p50_m,
-        100.0 * all.p95_m,
+        worst_nees.unwrap_or_else(|| "-".to_owned()),
+        number(100.0 * all.p50_m, 0),
+        number(100.0 * all.p95_m, 0),
     )
 }
 
@@ -113,18 +120,18 @@ fn by_family(tally: &CaseTally) -> String {
         "other verdicts",
     ];
     let line = |(family, t): (&&'static str, &Tally)| {
-        let nees = t.nees.map(|nees| format!("{nees:.2}")).join(", ");
+        let nees = t.nees.map(|nees| number(nees, 2)).join(", ");
         let beyond = t.beyond.map(|count| count.to_string()).join(", ");
         format!(
-            "{family} | {} | {} | {} | {} | {} | {beyond} | {nees} | {:.0}, {:.0} | {:.2} | {}",
+            "{family} | {} | {} | {} | {} | {} | {beyond} | {nees} | {}, {} | {} | {}",
             t.batches,
             t.questions,
             percent(t.usable_rate()),
             t.wrong,
             t.wrong_batches,
-            100.0 * t.p50_m,
-            100.0 * t.p95_m,
-            t.p95_deg,
+            number(100.0 * t.p50_m, 0),
+            number(100.0 * t.p95_m, 0),
+            number(t.p95_deg, 2),
             other_verdicts(t),
         )
     };
