@@ -128,6 +128,13 @@ impl Family {
         }
     }
 
+    /// A number for its random streams, which stays when families are added (FNV-1a of its word).
+    #[must_use]
+    pub fn number(self) -> u64 {
+        let step = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        self.word().bytes().fold(0xcbf2_9ce4_8422_2325, step)
+    }
+
     /// The family of a [word](Self::word).
     #[must_use]
     pub fn of_word(word: &str) -> Option<Self> {

@@ -56,7 +56,7 @@ impl Family {
     /// # Errors
     /// Never with the ranges used here: all of them are valid.
     pub fn world(self, seed: u64) -> Result<FamilyWorld, Error> {
-        let mut rng = stream(seed, Purpose::Family, self as u64, 0);
+        let mut rng = stream(seed, Purpose::Family, self.number(), 0);
         let range = self.range(rng.random());
         let contributors = rng.random_range(inclusive(range.contributors));
         let radars = radars(&range, &mut rng);
@@ -218,7 +218,7 @@ impl FamilyWorld {
     }
 
     fn rng(&self, index: u64) -> ChaCha8Rng {
-        stream(self.seed, Purpose::Family, self.family as u64, 1 + index)
+        stream(self.seed, Purpose::Family, self.family.number(), 1 + index)
     }
 }
 

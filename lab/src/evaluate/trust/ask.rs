@@ -131,7 +131,7 @@ impl Asker {
     ) -> anyhow::Result<()> {
         for (number, time_us) in times.at(place).iter().enumerate() {
             let asking = if place == Place::Unmapped { &world.stranger } else { &world.asking };
-            let seed = mixed(&[self.family as u64, self.seed, number as u64]);
+            let seed = mixed(&[self.family.number(), self.seed, number as u64]);
             let Some((batch, end_us)) = organised(&asking.drive, *time_us, form, seed)? else { continue };
             // Whoever is in an unmapped street is believed where the vehicle of this world is.
             let truth = (place != Place::Unmapped).then(|| asking.truth.at(end_us)).flatten();

@@ -38,12 +38,12 @@ const BOUNDS: [Bound; 13] = [
     bound("no Doppler", Figure::Unusable, 0.37, 1.0),
     bound("batch of 1 s", Figure::Wrong, 0.01, 0.17),
     bound("batch of 8 s", Figure::Wrong, 0.01, 0.17),
-    bound("4 sigma along", Figure::Wrong, 0.10, 0.51),
-    bound("12 to 30 m off", Figure::Wrong, 0.05, 0.26),
-    bound("wrong street", Figure::Wrong, 0.10, 0.51),
-    bound("unmapped street", Figure::Wrong, 0.12, 0.67),
-    bound("map ends", Figure::Wrong, 0.02, 0.17),
-    bound("clock late 50 ms", Figure::Beyond, 0.35, 0.7),
+    bound("4 sigma along", Figure::Wrong, 0.16, 1.0),
+    bound("12 to 30 m off", Figure::Wrong, 0.06, 0.42),
+    bound("wrong street", Figure::Wrong, 0.15, 0.84),
+    bound("unmapped street", Figure::Wrong, 0.15, 0.84),
+    bound("map ends", Figure::Wrong, 0.03, 0.34),
+    bound("clock late 50 ms", Figure::Beyond, 0.35, 1.0),
     bound("odometry jumps 5 m 0.5 s before", Figure::Wrong, 0.65, 1.0),
 ];
 

@@ -93,8 +93,12 @@ pub fn run(plan: &TrustPlan) -> anyhow::Result<CrowdSection> {
         record::write(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
     let section = page::section(&rows, &cases, seeds)?;
-    if plan.quick {
-        bounds::check(&rows)?;
+    if plan.quick
+        && let Err(broken) = bounds::check(&rows)
+    {
+        // What is out of bounds is found in the tables.
+        println!("{}", section.section.text);
+        return Err(broken);
     }
     Ok(section)
 }
