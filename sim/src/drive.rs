@@ -70,8 +70,8 @@ impl DriveParams {
         self.radars.iter().try_for_each(RadarSpec::validate)?;
         let motion = &self.motion;
         let (slow, fast) = motion.cruise_mps;
-        within("cruise_mps", slow, (1.0, 15.0), "from 1 to 15 m/s")?;
-        within("cruise_mps", fast, (1.0, 15.0), "from 1 to 15 m/s")?;
+        within("cruise_mps", slow, (0.5, 40.0), "from 0.5 to 40 m/s")?;
+        within("cruise_mps", fast, (0.5, 40.0), "from 0.5 to 40 m/s")?;
         within("acceleration_mps2", motion.acceleration_mps2, (0.1, 10.0), "from 0.1 to 10 m/s2")?;
         within("lateral_mps2", motion.lateral_mps2, (0.1, 10.0), "from 0.1 to 10 m/s2")?;
         within("stop_probability", motion.stop_probability, (0.0, 1.0), "from 0 to 1")?;

@@ -27,6 +27,7 @@
 //! - [`odometry`], [`mod@reference`]: what the vehicle believes about its motion and its pose.
 //! - [`drive`]: all of it together: one recorded drive.
 //! - [`downtown`]: parameters that make all of it as hard as the paper's downtown.
+//! - [`family`]: families of worlds that differ in all of it, to judge on what nothing was tuned on.
 //!
 //! Frames: city metres are ground metres around the city's origin, x towards grid east, y towards
 //! grid north; [`Site`] turns them into map metres. The body's origin is the middle of the rear axle,
@@ -36,6 +37,7 @@ pub mod city;
 pub mod downtown;
 pub mod drive;
 pub mod error;
+pub mod family;
 mod index;
 pub mod motion;
 pub mod odometry;
@@ -50,6 +52,7 @@ pub mod site;
 pub use city::{City, CityDay, CityParams};
 pub use drive::{DriveParams, simulate};
 pub use error::Error;
+pub use family::Family;
 pub use odometry::{DeadReckoning, Drift, Growth, OdometryModel};
 pub use radar::RadarSpec;
 pub use reference::PoseError;

@@ -30,6 +30,8 @@ pub enum Purpose {
     Reference,
     /// Errors of the odometry, by day.
     Odometry,
+    /// What a family draws for a world.
+    Family,
 }
 
 /// The stream of a purpose and up to two indices.

@@ -11,10 +11,12 @@ use super::method::{MethodName, Windows};
 use super::record::EpochRecord;
 use super::run::{EvaluationPlan, run as ask_all};
 use super::section::Section;
+use super::trust::{self, TrustPlan};
 use super::worlds::Worlds;
 use super::{crowd, sanity, sections, summary};
 use crate::report;
 use echofix_harness::progress;
+use echofix_sim::Family;
 
 /// Arguments of `echofix evaluate`.
 #[derive(clap::Args)]
@@ -64,7 +66,13 @@ pub struct Args {
     /// Memory for prepared map windows, mebibytes.
     #[arg(long, default_value_t = 1024)]
     windows_mib: u64,
-    /// Write every fix to this CSV file.
+    /// Families of worlds of the experiment `trust`; all of them without it.
+    #[arg(long, value_delimiter = ',', value_parser = trust::family)]
+    families: Vec<Family>,
+    /// Families of worlds to leave out of the experiment `trust`.
+    #[arg(long, value_delimiter = ',', value_parser = trust::family)]
+    without: Vec<Family>,
+    /// Write every fix to this CSV file; of the experiment `trust`, every question.
     #[arg(long)]
     epochs: Option<PathBuf>,
     /// Also write tables and figures to docs/benchmarks in the repository at this path. Sections of other experiments stay
@@ -80,7 +88,7 @@ pub struct Args {
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     let (own, experiments): (Vec<_>, Vec<_>) =
         experiments(args).into_iter().partition(|e| Experiment::OF_THE_CROWD.contains(e));
-    let own = of_the_crowd(args, &own)?;
+    let own = of_the_crowd(args, &own, json)?;
     let (worlds, plan, crowds) = (worlds(args, !experiments.is_empty()), plan(args), crowds(args));
     let mut conditions = Vec::new();
     for condition in experiments.iter().flat_map(|e| e.conditions(plan.base, &crowds)) {
@@ -102,7 +110,7 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
             "the drives have no epoch at which the vehicle could be localized: they are too short or too slow"
         );
     }
-    if let Some(path) = &args.epochs {
+    if let Some(path) = args.epochs.as_ref().filter(|_| !experiments.is_empty()) {
         write_rows(path, &rows).with_context(|| format!("writing {}", path.display()))?;
     }
     let sections = experiments.iter().map(|e| sections::section(*e, &rows, &plan, &crowds));
@@ -124,10 +132,23 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn of_the_crowd(args: &Args, experiments: &[Experiment]) -> anyhow::Result<Vec<CrowdSection>> {
+fn of_the_crowd(args: &Args, experiments: &[Experiment], json: bool) -> anyhow::Result<Vec<CrowdSection>> {
     let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
-    let reports = experiments.iter().map(|experiment| crowd::run(*experiment, &scale));
+    let reports = experiments.iter().map(|experiment| match experiment {
+        Experiment::Trust => trust::run(&trust_plan(args, json)?).map(Some),
+        _ => crowd::run(*experiment, &scale),
+    });
     Ok(reports.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
+fn trust_plan(args: &Args, json: bool) -> anyhow::Result<TrustPlan> {
+    Ok(TrustPlan {
+        families: TrustPlan::families(&args.families, &args.without)?,
+        seeds: args.world_seeds.clone(),
+        quick: args.quick,
+        rows: args.epochs.clone(),
+        json,
+    })
 }
 
 fn experiments(args: &Args) -> Vec<Experiment> {

@@ -103,6 +103,8 @@ pub enum Experiment {
     Upload,
     /// How many contributors must have hit something near a cell for it to be served.
     Support,
+    /// Whether answers may be believed, in families of worlds that nothing was tuned on.
+    Trust,
 }
 
 impl Experiment {
@@ -119,8 +121,8 @@ impl Experiment {
     ];
 
     /// Experiments with their own towns and maps. They run only when they are named.
-    pub const OF_THE_CROWD: [Self; 5] =
-        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support];
+    pub const OF_THE_CROWD: [Self; 6] =
+        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support, Self::Trust];
 
     /// Its name on the command line.
     pub fn word(self) -> &'static str {
@@ -138,6 +140,7 @@ impl Experiment {
             Self::Vetting => "vetting",
             Self::Upload => "upload",
             Self::Support => "support",
+            Self::Trust => "trust",
         }
     }
 
@@ -146,6 +149,7 @@ impl Experiment {
         match self {
             Self::Localizability => "localizability.md",
             Self::Misses => "search.md",
+            Self::Trust => "trust.md",
             Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
             Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => {
                 "paper.md"
@@ -175,7 +179,9 @@ impl Experiment {
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),
-            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => Vec::new(),
+            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support | Self::Trust => {
+                Vec::new()
+            }
         }
     }
 }

@@ -140,7 +140,7 @@ fn occupied(batch: &Batch) -> usize {
 }
 
 /// The part of a trajectory from the last pose before `start_us` to the first one after `end_us`.
-fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajectory> {
+pub fn within(all: &Trajectory, start_us: i64, end_us: i64) -> anyhow::Result<Trajectory> {
     let mut part = Trajectory::default();
     let mut before = None;
     for (time_us, pose) in all.iter() {

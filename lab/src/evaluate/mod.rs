@@ -11,6 +11,7 @@
 //! - [`groups`], [`cells`], [`tables`], [`plots`]: tables and figures; [`section`]: a part of the report; [`sections`]: all parts.
 //!   [`ablation`] and [`misses`] have their own files.
 //! - [`crowd`]: experiments with their own towns, vehicles and maps.
+//! - [`trust`]: whether answers may be believed in families of worlds that nothing was tuned on.
 //! - [`about`]: how the figures were made; [`summary`]: the figures as JSON.
 //! - [`sanity`]: bounds that every sound run keeps.
 
@@ -38,5 +39,6 @@ mod simulated;
 mod statistics;
 mod summary;
 mod tables;
+mod trust;
 mod world;
 mod worlds;

@@ -21,7 +21,7 @@ const DEPTH_M: f64 = 12.0;
 const CORNER_LOT_M: f64 = 17.0;
 
 /// Builds the fronts of one frontage.
-pub(super) fn build(structure: &mut Structure, frontage: Frontage, seed: u64, index: usize) {
+pub(crate) fn build(structure: &mut Structure, frontage: Frontage, seed: u64, index: usize) {
     let along = direction(frontage.a, frontage.b);
     let frame = Pose2::new(frontage.a[0], frontage.a[1], along[1].atan2(along[0]));
     let rng = stream(seed, Purpose::Fronts, index as u64, 0);

@@ -15,13 +15,13 @@ pub(super) const CLEAR_M: f64 = 12.0;
 const ALL_ROUND: f64 = 4.0;
 
 /// The frame of a street: x along it from its first node, y to the left.
-pub(super) fn street_frame(street: &Street) -> Pose2 {
+pub(crate) fn street_frame(street: &Street) -> Pose2 {
     let along = direction(street.a, street.b);
     Pose2::new(street.a[0], street.a[1], along[1].atan2(along[0]))
 }
 
 /// Furnishes both sides of one street.
-pub(super) fn build(structure: &mut Structure, street: &Street, seed: u64, index: usize) {
+pub(crate) fn build(structure: &mut Structure, street: &Street, seed: u64, index: usize) {
     for (side, sign) in [(0, -1.0), (1, 1.0)] {
         let mut rng = stream(seed, Purpose::Furniture, index as u64, side);
         let look = [lamps, signs, trees, kerb].map(|row| row(&mut rng, street));

@@ -13,8 +13,12 @@ mod vehicle;
 
 pub use change::{Change, Plot};
 pub use day::CityDay;
+pub(crate) use fronts::build as build_fronts;
+pub(crate) use furniture::{build as build_furniture, street_frame};
 pub use params::CityParams;
 pub use parking::ParkingSlot;
+pub(crate) use parking::slots as parking_slots;
+pub(crate) use streets::Frontage;
 pub use streets::{LANE_M, Network, Street};
 pub(crate) use structure::Look;
 pub use structure::{Reflector, ReflectorKind, Structure};

@@ -21,7 +21,7 @@ pub struct ParkingSlot {
 }
 
 /// The slots on both sides of one street.
-pub(super) fn slots(street: &Street, seed: u64, index: usize) -> Vec<ParkingSlot> {
+pub(crate) fn slots(street: &Street, seed: u64, index: usize) -> Vec<ParkingSlot> {
     let frame = street_frame(street);
     let mut slots = Vec::new();
     for (side, sign, yaw_rad) in [(0, -1.0, 0.0), (1, 1.0, PI)] {

@@ -84,6 +84,26 @@ impl Network {
         Self::joined(2, 1, vec![a, b], vec![Street { from: 0, to: 1, a, b, kerb_m, front_m }])
     }
 
+    /// So many straight streets along x, one north of the other, that nothing joins: street `k` leads from node `2 k`
+    /// to node `2 k + 1`. Their middle is the origin.
+    pub(crate) fn side_by_side(
+        count: usize,
+        spacing_m: f64,
+        (length_m, kerb_m, front_m): (f64, f64, f64),
+    ) -> Self {
+        let row = |k: usize| {
+            let y = (k as f64 - 0.5 * (count as f64 - 1.0)) * spacing_m;
+            [[-0.5 * length_m, y], [0.5 * length_m, y]]
+        };
+        let nodes: Vec<Point> = (0..count).flat_map(row).collect();
+        let street = |k: usize| {
+            let (from, to) = (2 * k, 2 * k + 1);
+            Street { from, to, a: nodes[from], b: nodes[to], kerb_m, front_m }
+        };
+        let streets = (0..count).map(street).collect();
+        Self::joined(2, count, nodes, streets)
+    }
+
     fn joined(columns: usize, rows: usize, nodes: Vec<Point>, streets: Vec<Street>) -> Self {
         let mut neighbours = vec![Vec::new(); nodes.len()];
         for (index, street) in streets.iter().enumerate() {
@@ -117,11 +137,12 @@ impl Network {
         self.neighbours[from].iter().find(|(node, _)| *node == to).map(|(_, street)| *street)
     }
 
-    /// Nodes of every straight line through the town, east-west lines first.
+    /// Nodes of every straight line of streets through the town, east-west lines first.
     pub(super) fn lines(&self) -> impl Iterator<Item = Vec<usize>> + '_ {
         let rows = (0..self.rows).map(|r| (0..self.columns).map(|c| r * self.columns + c).collect());
         let columns = (0..self.columns).map(|c| (0..self.rows).map(|r| r * self.columns + c).collect());
-        rows.chain(columns).filter(|line: &Vec<usize>| line.len() > 1)
+        let joined = |line: &Vec<usize>| line.windows(2).all(|w| self.between(w[0], w[1]).is_some());
+        rows.chain(columns).filter(move |line: &Vec<usize>| line.len() > 1 && joined(line))
     }
 
     /// The fronts of all blocks, then those that face the town from outside.

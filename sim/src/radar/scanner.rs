@@ -34,6 +34,13 @@ struct Sight<'a> {
     hiding: &'a [LineSegment],
 }
 
+/// From the radar to a reflector: range, azimuth from the boresight, unit vector.
+struct LineOfSight {
+    range_m: f64,
+    azimuth_rad: f64,
+    away: Point,
+}
+
 struct Echo {
     range_m: f64,
     azimuth_rad: f64,
@@ -82,18 +89,29 @@ impl<'a> Scanner<'a> {
         let mut echoes = Vec::with_capacity(spec.max_detections);
         let may_hold = |centre, radius_m| spec.may_see(sight.boresight, centre, radius_m);
         day.visit(sight.at, spec.max_range_m(), may_hold, |reflector| {
-            echoes.extend(self.detect(sight, reflector, [0.0; 2]));
+            self.echoes(sight, reflector, [0.0; 2], &mut echoes);
         });
         for mover in sight.movers {
             for reflector in mover.vehicle.reflectors() {
-                echoes.extend(self.detect(sight, &reflector, mover.velocity_mps));
+                self.echoes(sight, &reflector, mover.velocity_mps, &mut echoes);
             }
         }
         echoes
     }
 
-    /// The echo of a reflector that moves at some velocity, if it is detected this time.
-    fn detect(&mut self, sight: &Sight, reflector: &Reflector, velocity_mps: Point) -> Option<Echo> {
+    /// The echoes of a reflector that moves at some velocity; none if it is not detected this time.
+    fn echoes(&mut self, sight: &Sight, reflector: &Reflector, velocity_mps: Point, echoes: &mut Vec<Echo>) {
+        let Some(line) = self.detected(sight, reflector) else { return };
+        echoes.extend(self.echo(sight, reflector, &line, velocity_mps));
+        if self.spec.returns > 1.0 {
+            for _ in 0..poisson(&mut self.rng, self.spec.returns - 1.0) {
+                echoes.extend(self.echo(sight, reflector, &line, velocity_mps));
+            }
+        }
+    }
+
+    /// The line of sight to a reflector, if it is detected this time.
+    fn detected(&mut self, sight: &Sight, reflector: &Reflector) -> Option<LineOfSight> {
         let way = sub(reflector.at, sight.at);
         let range_m = way[0].hypot(way[1]);
         if range_m < MIN_RANGE_M || range_m > self.spec.max_range_m() || dot(way, sight.boresight) < 0.0 {
@@ -115,8 +133,19 @@ impl<'a> Scanner<'a> {
         if draw >= chance || draw >= chance * self.seen_share(sight, reflector) {
             return None;
         }
-        let noise = self.spec.noise;
         let azimuth_rad = wrap_angle(way[1].atan2(way[0]) - sight.yaw_rad);
+        Some(LineOfSight { range_m, azimuth_rad, away })
+    }
+
+    /// One echo along a line of sight, if the radar sees where its errors put it.
+    fn echo(
+        &mut self,
+        sight: &Sight,
+        reflector: &Reflector,
+        &LineOfSight { range_m, azimuth_rad, away }: &LineOfSight,
+        velocity_mps: Point,
+    ) -> Option<Echo> {
+        let noise = self.spec.noise;
         let echo = Echo {
             range_m: range_m + normal(&mut self.rng, noise.range_m),
             azimuth_rad: azimuth_rad + normal(&mut self.rng, noise.azimuth_rad),

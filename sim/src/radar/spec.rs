@@ -20,6 +20,9 @@ pub struct RadarSpec {
     pub max_detections: usize,
     /// Factor on every reflector's chance of a detection.
     pub sensitivity: f64,
+    /// Mean count of detections of one reflector in a scan that sees it, at least 1: a radar that resolves more
+    /// returns more of the same thing, each with errors of its own.
+    pub returns: f64,
     /// Errors of a detection.
     pub noise: Noise,
     /// False detections.
@@ -72,6 +75,7 @@ impl RadarSpec {
             rate_hz: 20.0,
             max_detections: 64,
             sensitivity: 2.6,
+            returns: 1.0,
             noise: Noise {
                 range_m: 0.15,
                 azimuth_rad: 0.5_f64.to_radians(),
@@ -118,6 +122,7 @@ impl RadarSpec {
         }
         within("rate_hz", self.rate_hz, (0.1, 1000.0), "from 0.1 to 1000 per second")?;
         within("sensitivity", self.sensitivity, (0.0, 1000.0), "from 0 to 1000")?;
+        within("returns", self.returns, (1.0, 100.0), "from 1 to 100")?;
         let Noise { range_m, azimuth_rad, radial_speed_mps, rcs_db } = self.noise;
         for (name, sigma) in [
             ("noise.range_m", range_m),

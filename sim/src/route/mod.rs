@@ -33,6 +33,29 @@ impl Route {
         route
     }
 
+    /// The way through some intersections, each joined to the next by a street.
+    #[must_use]
+    pub fn along(city: &City, nodes: &[usize]) -> Self {
+        Self::through(city, nodes.to_vec())
+    }
+
+    /// The same way with further places to stop, so far apart: whether a vehicle stops there is the drive's to draw.
+    #[must_use]
+    pub fn with_stops(mut self, spacing_m: f64) -> Self {
+        let count = (self.length_m() / spacing_m) as usize;
+        self.stop_lines_m.extend((1..=count).map(|k| k as f64 * spacing_m));
+        self.stop_lines_m.sort_by(f64::total_cmp);
+        self
+    }
+
+    /// The same way, swaying about its line so many metres to either side over a wavelength, as drivers do. The body
+    /// follows the swaying line as a bicycle does: it never slips sideways.
+    #[must_use]
+    pub fn swaying(mut self, amplitude_m: f64, wavelength_m: f64, phase_rad: f64) -> Self {
+        self.path = self.path.swaying(amplitude_m, wavelength_m, phase_rad);
+        self
+    }
+
     fn through(city: &City, nodes: Vec<usize>) -> Self {
         let (path, stop_lines_m) = Path::through(city.network(), &nodes);
         Self { nodes, path, stop_lines_m }

@@ -1,5 +1,7 @@
 //! The line a vehicle's origin follows: lanes, joined by curves of continuous curvature.
 
+use std::f64::consts::TAU;
+
 use echofix_core::pose::{Pose2, wrap_angle};
 
 use crate::city::{LANE_M, Network};
@@ -74,6 +76,26 @@ impl Path {
             pose: a.pose.interpolate(&b.pose, t),
             curvature_radpm: a.curvature_radpm + t * (b.curvature_radpm - a.curvature_radpm),
         }
+    }
+
+    /// The path moved aside by a sine of the way, with the direction and the curvature of the moved line.
+    pub(super) fn swaying(&self, amplitude_m: f64, wavelength_m: f64, phase_rad: f64) -> Self {
+        let aside = |point: &PathPoint| {
+            let phase = TAU * point.way_m / wavelength_m + phase_rad;
+            point.pose.transform([0.0, amplitude_m * phase.sin()])
+        };
+        let at: Vec<Point> = self.points.iter().map(aside).collect();
+        let yaw_rad = |k: usize| {
+            let (from, to) = (at[k.saturating_sub(1)], at[(k + 1).min(at.len() - 1)]);
+            (to[1] - from[1]).atan2(to[0] - from[0])
+        };
+        let mut path = Self::default();
+        for k in 0..at.len() {
+            let (before, after) = (k.saturating_sub(1), (k + 1).min(at.len() - 1));
+            let turn_rad = wrap_angle(yaw_rad(after) - yaw_rad(before));
+            path.push(at[k], yaw_rad(k), turn_rad / distance(at[before], at[after]).max(1e-6));
+        }
+        path
     }
 
     fn push(&mut self, at: Point, yaw_rad: f64, curvature_radpm: f64) {

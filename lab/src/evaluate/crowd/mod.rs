@@ -49,7 +49,7 @@ fn towns_in_words(towns: &[u64]) -> String {
 }
 
 /// A table with these columns and rows. The cells of a row are already separated by bars.
-fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -> String {
+pub fn table<C: AsRef<str>>(columns: &[C], rows: impl IntoIterator<Item = String>) -> String {
     let heads = columns.iter().map(AsRef::as_ref).collect::<Vec<_>>().join(" | ");
     let mut table = format!("| {} |\n|{}\n", heads, "---|".repeat(heads.matches(" | ").count() + 1));
     for row in rows {
@@ -69,6 +69,16 @@ pub struct CrowdSection {
 impl CrowdSection {
     fn new<T: Serialize>(section: Section, lines: &[T]) -> anyhow::Result<Self> {
         Ok(Self { section, lines: serde_json::to_value(lines)? })
+    }
+
+    /// The result of an experiment of the data described in words.
+    pub fn with_data<T: Serialize>(
+        experiment: Experiment,
+        text: String,
+        data: String,
+        lines: &[T],
+    ) -> anyhow::Result<Self> {
+        Self::new(Section { experiment, text, figures: Vec::new(), data: Some(data) }, lines)
     }
 
     /// The result of an experiment whose section is a text and a table.
