@@ -251,7 +251,7 @@ fn an_upload_tells_what_was_left_out_of_it() {
     for form in [UploadForm::Scans, UploadForm::Evidence] {
         let sound = past_posts(form, |_, _| ());
         assert_eq!((&sound.findings[..], sound.dropped.moving), (&[][..], 0));
-        assert_eq!(sound.upload.unwrap().header().unwrap().suspected, []);
+        assert!(sound.upload.unwrap().header().unwrap().suspected.is_empty());
         // The sign is wrong but for two posts of twenty.
         let trip = past_posts(form, |_, scan| scan.radial_speed_mps[2..].iter_mut().for_each(|v| *v = -*v));
         let upload = trip.upload.unwrap();

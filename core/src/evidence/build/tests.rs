@@ -181,6 +181,6 @@ fn uploads_in_another_convention_are_refused_and_asked_for_it() {
 #[test]
 fn traffic_is_left_out_and_the_rest_counts() {
     let jam = past_posts(|_, scan| scan.radial_speed_mps[..9].fill(0.0));
-    let BuiltEvidence { delta, dropped } = jam.unwrap();
+    let BuiltEvidence { delta, dropped, .. } = jam.unwrap();
     assert_eq!((delta.detections, dropped.moving), (41 * 11, 41 * 9));
 }
