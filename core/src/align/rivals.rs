@@ -15,7 +15,7 @@ use crate::pose::Pose2;
 /// street, and what a prior is off by where houses reflect the satellites' signals.
 const AROUND_M: f64 = 24.0;
 /// Other headings that are looked at, radians to either side.
-const AROUND_RAD: f64 = 0.035;
+const AROUND_RAD: f64 = 0.017;
 /// Rivals beyond the search that are compared.
 const BEYOND: usize = 6;
 

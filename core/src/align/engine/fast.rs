@@ -14,7 +14,7 @@ use super::{Candidate, Engine, EngineWorkspace, SearchQuestion};
 use crate::align::simd::{Isa, Strips};
 use crate::align::view::ImageView;
 use crate::geo::CELL_M;
-use crate::point::WeightedPoint;
+use crate::point::{BodyPoint, WeightedPoint};
 use crate::pose::Pose2;
 
 /// Shifts to a strip where all are scanned: the bytes of a 256-bit register. It changes the time, not the
@@ -36,6 +36,10 @@ const COARSE: Around = Around { pixels: 3, turns: 1 };
 /// reach its border and three more into its neighbours. A coarse pixel orders headings less surely: one on either
 /// side is tried again.
 const FINE: Around = Around { pixels: 5, turns: 1 };
+/// Around what a few points found on the fine image, with more of them.
+const FINEST: Around = Around { pixels: 3, turns: 0 };
+/// Candidates more than asked for that are tried with more points.
+const SPARE: usize = 2;
 const _: () = assert!(2 * FINE.pixels < NARROW && 2 * COARSE.pixels < NARROW);
 
 /// How much a search counts: its time is in proportion, and what less costs is the miss rate.
@@ -43,9 +47,11 @@ const _: () = assert!(2 * FINE.pixels < NARROW && 2 * COARSE.pixels < NARROW);
 struct Effort {
     /// Points that a scan of all hypotheses counts, at most, or little more; a batch of a town has some 3200.
     scanned: usize,
-    /// Points that the search around a candidate counts, at most, or little more. More than a scan's, for these
-    /// sums rank the candidates, and only some hundred hypotheses are tried.
-    sharpened: usize,
+    /// Points that the first search around each hill counts.
+    sketched: usize,
+    /// Points that the last search counts, around the best of them. More than a scan's, for these sums rank the
+    /// candidates.
+    ranked: usize,
     /// Hills that the coarser image hands on: its pixels are 0.8 m wide, four times the sigma of the
     /// smoothing, and order hills less surely.
     from_coarser: usize,
@@ -72,10 +78,14 @@ impl Default for Fast {
 #[derive(Default)]
 struct FastBuffers {
     isa: Isa,
+    /// The points that are counted.
+    points: Vec<BodyPoint>,
     pixels: Vec<u32>,
     sums: Vec<[u32; WIDE]>,
     /// For each shift of a scan the best sum and its turn, fine steps.
     best: Vec<(u32, i32)>,
+    /// Indices of hills among these.
+    hills: Vec<usize>,
     coarser: Vec<u8>,
 }
 
@@ -89,13 +99,13 @@ impl Fast {
     /// The engine on the fastest instruction set of this processor.
     pub const BEST: Self = Self {
         isa: None,
-        effort: Effort { scanned: 600, sharpened: 1000, from_coarser: 32, hills: 16, many: MANY },
+        effort: Effort { scanned: 500, sketched: 200, ranked: 1000, from_coarser: 32, hills: 16, many: MANY },
     };
 
     /// A glance at a wide area: enough to find what looks alike, not to tell how much.
     pub const GLANCE: Self = Self {
         isa: None,
-        effort: Effort { scanned: 250, sharpened: 250, from_coarser: 12, hills: 6, many: 0 },
+        effort: Effort { scanned: 250, sketched: 200, ranked: 0, from_coarser: 8, hills: 8, many: 0 },
     };
 
     /// The engine on one instruction set.
@@ -133,14 +143,22 @@ impl FastBuffers {
             let coarser = halved(&coarse, &mut image);
             self.scan(question, effort, &coarser, 2);
             self.highest(question, &coarser, effort.from_coarser, candidates);
-            self.sharpen(question, effort, &coarse, &COARSE, candidates);
+            // As few as a glance finds are moved on the fine image at once.
+            if effort.from_coarser > effort.hills {
+                self.sharpen(question, effort.sketched, &coarse, &COARSE, candidates);
+            }
             candidates.truncate(effort.hills.max(question.search.candidates));
             self.coarser = image;
         } else {
             self.scan(question, effort, &coarse, 1);
             self.highest(question, &coarse, effort.hills.max(question.search.candidates), candidates);
         }
-        self.sharpen(question, effort, &question.view.fine(), &FINE, candidates);
+        let fine = question.view.fine();
+        self.sharpen(question, effort.sketched, &fine, &FINE, candidates);
+        candidates.truncate(question.search.candidates + SPARE);
+        if effort.ranked > effort.sketched {
+            self.sharpen(question, effort.ranked, &fine, &FINEST, candidates);
+        }
         candidates.truncate(question.search.candidates);
     }
 
@@ -154,11 +172,11 @@ impl FastBuffers {
         self.best.resize(width * width, (0, 0));
         self.sums.resize(width, [0; WIDE]);
         let strips = Strips::<WIDE> { image: image.weights, stride: image.side, rows: width };
-        let stride = (question.thinned.len() / effort.scanned).max(1);
+        self.take_points(question, effort.scanned);
         for turn in -turns..=turns {
             let turn = turn * step as i32;
             let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
-            let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
+            let points = self.points.iter().copied();
             question.projection(image, lag).pixel_indices(self.isa, at, points, &mut self.pixels);
             for first in (0..width).step_by(WIDE) {
                 self.sums.fill([0; WIDE]);
@@ -177,7 +195,14 @@ impl FastBuffers {
         }
     }
 
-    /// The highest shifts of the last scan, none within the separation of a higher one. Their scores are
+    /// Takes so many points of the batch, evenly spread, or a few more.
+    fn take_points(&mut self, question: &SearchQuestion, most: usize) {
+        let stride = (question.thinned.len() / most).max(1);
+        self.points.clear();
+        self.points.extend(question.thinned.iter().step_by(stride).map(WeightedPoint::position));
+    }
+
+    /// The highest hills of the last scan, none within the separation of a higher one. Their scores are
     /// those of the search around them, which follows.
     fn highest(
         &mut self,
@@ -189,45 +214,58 @@ impl FastBuffers {
         let lag = question.lattice.lag.div_ceil(image.cells);
         let width = 2 * lag + 1;
         let pixel_m = image.cells as f64 * CELL_M;
-        let separation = (question.search.separation_m / pixel_m).powi(2);
+        let shift = |i: usize| (i as f64 - lag as f64) * pixel_m;
+        self.find_hills(width);
         candidates.clear();
-        while candidates.len() < most {
-            let top = self.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, Reverse(*i)));
-            let Some((index, &(_, turn))) = top.filter(|(_, (sum, _))| *sum > 0) else { break };
-            let (row, column) = (index / width, index % width);
-            self.clear_around(row, column, width, separation);
-            let shift = |i: usize| (i as f64 - lag as f64) * pixel_m;
+        for &index in &self.hills {
+            let (row, column, turn) = (index / width, index % width, self.best[index].1);
             let yaw_rad = f64::from(turn) * question.lattice.yaw_step_rad;
-            let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
             let correction = Pose2::new(shift(column), shift(row), yaw_rad);
+            let near =
+                |other: &Candidate| other.correction.distance_m(&correction) < question.search.separation_m;
+            if candidates.iter().any(near) {
+                continue;
+            }
+            let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
             candidates.push(Candidate { correction, score: 0.0, at_edge });
-        }
-    }
-
-    /// Forgets the shifts within the separation of one; `separation` is its square, pixels.
-    fn clear_around(&mut self, row: usize, column: usize, width: usize, separation: f64) {
-        let reach = separation.sqrt().ceil() as usize;
-        for other_row in row.saturating_sub(reach)..(row + reach + 1).min(width) {
-            for other_column in column.saturating_sub(reach)..(column + reach + 1).min(width) {
-                let (dr, dc) = (other_row.abs_diff(row), other_column.abs_diff(column));
-                if ((dr * dr + dc * dc) as f64) < separation {
-                    self.best[other_row * width + other_column].0 = 0;
-                }
+            if candidates.len() == most {
+                break;
             }
         }
     }
 
-    /// Moves candidates to the best hypotheses around them on a finer image, and sorts them.
+    /// Shifts of the last scan that no neighbour exceeds, the highest first.
+    fn find_hills(&mut self, width: usize) {
+        let Self { best, hills, .. } = self;
+        hills.clear();
+        for (row, sums) in best.chunks_exact(width).enumerate() {
+            for (column, (sum, _)) in sums.iter().enumerate() {
+                let rows = row.saturating_sub(1)..(row + 2).min(width);
+                let columns = column.saturating_sub(1)..(column + 2).min(width);
+                let exceeded = || {
+                    rows.clone()
+                        .any(|y| best[y * width..][columns.clone()].iter().any(|(other, _)| other > sum))
+                };
+                if *sum > 0 && !exceeded() {
+                    hills.push(row * width + column);
+                }
+            }
+        }
+        hills.sort_unstable_by_key(|index| (Reverse(best[*index].0), *index));
+    }
+
+    /// Moves candidates to the best hypotheses around them on a finer image, counting so many points, and sorts them.
     fn sharpen(
         &mut self,
         question: &SearchQuestion,
-        effort: &Effort,
+        most_points: usize,
         image: &ImageView,
         around: &Around,
         candidates: &mut [Candidate],
     ) {
+        self.take_points(question, most_points);
         for candidate in candidates.iter_mut() {
-            self.sharpen_one(question, effort, image, around, candidate);
+            self.sharpen_one(question, image, around, candidate);
         }
         candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
@@ -235,7 +273,6 @@ impl FastBuffers {
     fn sharpen_one(
         &mut self,
         question: &SearchQuestion,
-        effort: &Effort,
         image: &ImageView,
         around: &Around,
         candidate: &mut Candidate,
@@ -245,14 +282,12 @@ impl FastBuffers {
         let (from, yaw_step) = (candidate.correction, question.lattice.yaw_step_rad);
         let pixel_m = image.cells as f64 * CELL_M;
         let turn = (from.yaw_rad / yaw_step).round() as i32;
-        let stride = question.thinned.len().div_ceil(effort.sharpened).max(1);
-        let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
         let mut sums = [[0_u32; NARROW]; NARROW];
         let mut highest = 0;
         for turn in (-around.turns..=around.turns).map(|i| turn + i) {
             let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * yaw_step);
             let projection = question.projection(image, around.pixels);
-            projection.pixel_indices(self.isa, at, points.clone(), &mut self.pixels);
+            projection.pixel_indices(self.isa, at, self.points.iter().copied(), &mut self.pixels);
             sums.fill([0; NARROW]);
             strips.add_means(self.isa, &self.pixels, &mut sums[..width]);
             for (row, sums) in sums[..width].iter().enumerate() {
@@ -267,7 +302,7 @@ impl FastBuffers {
                 }
             }
         }
-        candidate.score = mean_weight(FOUR * highest, points.len());
+        candidate.score = mean_weight(FOUR * highest, self.points.len());
     }
 }
 
