@@ -101,7 +101,7 @@ fn imaging() -> RadarSpec {
         rate_hz: 12.0,
         max_detections: 1200,
         sensitivity: 4.0,
-        returns: 5.0,
+        returns: 10.0,
         noise: Noise {
             range_m: 0.15,
             azimuth_rad: 0.5_f64.to_radians(),

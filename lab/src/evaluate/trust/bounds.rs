@@ -43,8 +43,8 @@ const BOUNDS: [Bound; 13] = [
     bound("wrong street", Figure::Wrong, 0.15, 0.84),
     bound("unmapped street", Figure::Wrong, 0.15, 0.84),
     bound("map ends", Figure::Wrong, 0.03, 0.34),
-    bound("clock late 50 ms", Figure::Beyond, 0.35, 1.0),
-    bound("odometry jumps 5 m 0.5 s before", Figure::Wrong, 0.65, 1.0),
+    bound("clock late 50 ms", Figure::Beyond, 0.45, 1.0),
+    bound("odometry jumps 5 m 0.5 s before", Figure::Wrong, 0.75, 1.0),
 ];
 
 /// Checks the questions of a quick run.
