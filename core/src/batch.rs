@@ -4,7 +4,8 @@ use std::f32::consts::TAU;
 
 use crate::convention::{Finding, inspect};
 use crate::gate::{Dropped, Gate, UnknownSensor, for_each_gated_scan};
-use crate::odometry::Trajectory;
+use crate::odometry::jumps::last_jump;
+use crate::odometry::{OdometryQuality, Trajectory};
 use crate::point::BodyPoint;
 use crate::pose::Pose2;
 use crate::scan::slices::sliced;
@@ -63,6 +64,11 @@ pub struct Batch {
     pub findings: Vec<Finding>,
     /// What the vehicle's own errors do to the answer.
     pub own_error: OwnError,
+    /// How good the odometry is that organised it; the default is that of odometry of which nothing is known.
+    pub quality: OdometryQuality,
+    /// Whether odometry made a step that no car can make. The batch then holds only what was seen since the last one;
+    /// the rest is counted as dropped without a pose.
+    pub odometry_jumped: bool,
 }
 
 impl Batch {
@@ -91,11 +97,17 @@ impl Batch {
             known_sensors(scans, mounts)?;
             return Self::organise(sorted, mounts, odometry, reference_time_us, gate);
         }
+        // What was seen before odometry jumped lies elsewhere by an unknown way.
+        let first_us = scans.clone().map(|scan| scan.time_us).min().unwrap_or(reference_time_us);
+        let jump_us = last_jump(odometry, first_us, reference_time_us);
+        let before_jump = |scan: &ScanView<'a>| jump_us.is_some_and(|jump_us| scan.time_us < jump_us);
+        let lost: usize = scans.clone().filter(before_jump).map(|scan| scan.range_m.len()).sum();
+        let scans = scans.filter(move |scan| !before_jump(scan));
         let outside = Error::ReferenceOutsideOdometry { reference_time_us };
         let to_body = odometry.at(reference_time_us).ok_or(outside)?.inverse();
         let Extent { rows, duration_s, travelled_m } = Extent::of(scans.clone(), odometry);
         let (mut points, mut sightings) = (Vec::with_capacity(rows), Vec::new());
-        let dropped = for_each_gated_scan(scans.clone(), mounts, odometry, gate, |scan| {
+        let mut dropped = for_each_gated_scan(scans.clone(), mounts, odometry, gate, |scan| {
             if scan.points.is_empty() {
                 return;
             }
@@ -111,21 +123,30 @@ impl Batch {
                     .map(|p| BodyPoint { x_m: x0 + c * p.x_m - s * p.y_m, y_m: y0 + s * p.x_m + c * p.y_m }),
             );
         })?;
+        dropped.without_pose += lost as u64;
         let speed_mps = odometry.velocity_at(reference_time_us).map_or(0.0, |v| v.speed_mps());
-        let detections = rows as u64;
         let findings = findings(scans, mounts, odometry, dropped.moving, points.len() as u64);
-        let own_error = OwnError::default();
         Ok(Self {
             points,
             sightings,
-            detections,
+            detections: (rows + lost) as u64,
             dropped,
             duration_s,
             travelled_m,
             speed_mps,
             findings,
-            own_error,
+            own_error: OwnError::default(),
+            quality: OdometryQuality::default(),
+            odometry_jumped: jump_us.is_some(),
         })
+    }
+}
+
+impl Batch {
+    /// Mean speed over the batch, metres per second.
+    #[must_use]
+    pub fn mean_speed_mps(&self) -> f64 {
+        if self.duration_s > 0.0 { self.travelled_m / self.duration_s } else { self.speed_mps }
     }
 }
 

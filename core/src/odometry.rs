@@ -1,4 +1,9 @@
-//! The vehicle's relative trajectory.
+//! The vehicle's relative trajectory, and how good it is.
+
+pub mod jumps;
+mod quality;
+
+pub use quality::OdometryQuality;
 
 use crate::pose::{Pose2, wrap_angle};
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::answer::{Alignment, Findings};
-use super::drift::DriftRefiner;
+use super::drift::{DriftPrior, DriftRefiner};
 use super::engine::Engine;
 use super::pipeline::Pipeline;
 use super::rivals::RivalFinder;
@@ -51,7 +51,8 @@ impl Aligner {
         self.drift.load(batch, search, BLOCK_M);
         let sharp = ranking.field.sharpened();
         let best = ranking.refined.first();
-        let answer = best.map(|rigid| self.drift.refine(&sharp, prior, rigid, &search.drift));
+        let drift = search.drift.unwrap_or_else(|| DriftPrior::of(batch));
+        let answer = best.map(|rigid| self.drift.refine(&sharp, prior, rigid, &drift));
         let challenge = self.rivals.challenge(&ranking);
         Findings { ranking: &ranking, answer, challenge }.judge(integrity)
     }

@@ -15,6 +15,10 @@ const SPAN_S: f64 = 1.0;
 /// Degrees of freedom of the drift's prior, a Student-t: most odometry drifts little, some much.
 const TAIL: f64 = 3.0;
 
+/// The middle of the drift's prior as a fraction of the odometry's sigmas: they bound what may be, while most batches
+/// drift less, and parked cars that differ from day to day would distort them. The covariance goes by the sigmas.
+const CENTRE: f64 = 0.5;
+
 type Vector6 = SVector<f64, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
 
@@ -29,12 +33,31 @@ pub struct DriftPrior {
     pub temperature: f64,
 }
 
-impl Default for DriftPrior {
-    /// 10 cm and half a degree in 5 s: the drift that remains when radial speeds have corrected the odometry (see
-    /// [`crate::doppler::dedrift`]). The prior's tail is heavy, so that worse odometry is estimated, too. With a
-    /// wider middle parked cars, which differ from day to day, distort the batch.
-    fn default() -> Self {
-        Self { position_mps: 0.02, yaw_radps: 0.1_f64.to_radians(), temperature: 3.0 }
+impl DriftPrior {
+    /// Of the odometry that organised a batch. The prior's tail is heavy, so that worse odometry than was declared is
+    /// estimated, too. Wider than needed lets parked cars, which differ from day to day, distort the batch.
+    #[must_use]
+    pub fn of(batch: &Batch) -> Self {
+        Self {
+            position_mps: batch.quality.velocity_sigma_mps(batch.mean_speed_mps()),
+            yaw_radps: batch.quality.yaw_rate_sigma_radps(),
+            temperature: 3.0,
+        }
+    }
+}
+
+impl DriftPrior {
+    /// Covariance of the end pose by what of the drift is no straight line. A velocity's error that changes by its own
+    /// sigma from the middle of a batch to the end bends the way into a parabola, whose end lies by a sixth of the
+    /// drift beside the straight line through it; a yaw rate's bends it to the side, by a twelfth of the way it turns.
+    fn bend(&self, duration_s: f64, travelled_m: f64, yaw_rad: f64) -> Matrix3<f64> {
+        let along = (self.position_mps * duration_s / 6.0).powi(2);
+        let aside = (self.yaw_radps * duration_s * travelled_m / 12.0).powi(2);
+        let (s, c) = yaw_rad.sin_cos();
+        let mut bend = Matrix3::from_diagonal(&[along + s * s * aside, along + c * c * aside, 0.0].into());
+        bend[(0, 1)] = -s * c * aside;
+        bend[(1, 0)] = bend[(0, 1)];
+        bend
     }
 }
 
@@ -45,6 +68,7 @@ pub struct DriftRefiner {
     points: Vec<WeightedPoint>,
     spans: Vec<RigidSpan>,
     duration_s: f64,
+    travelled_m: f64,
     thinner: Thinner,
     thinned: Vec<WeightedPoint>,
 }
@@ -66,6 +90,7 @@ impl DriftRefiner {
         self.points.clear();
         self.spans.clear();
         self.duration_s = batch.sightings.iter().map(|s| s.age_s).fold(0.0, f64::max);
+        self.travelled_m = batch.travelled_m;
         let reach_m = search.extent_m as f32;
         let mut rest = &batch.sightings[..];
         while let Some(first) = rest.first() {
@@ -101,8 +126,8 @@ impl DriftRefiner {
         from: &RefinedCandidate,
         drift: &DriftPrior,
     ) -> RefinedCandidate {
-        let sigma =
-            [drift.position_mps, drift.position_mps, drift.yaw_radps].map(|s| s * self.duration_s.max(0.1));
+        let sigma = [drift.position_mps, drift.position_mps, drift.yaw_radps]
+            .map(|s| CENTRE * s * self.duration_s.max(0.1));
         let stiff = sigma.map(|s| drift.temperature / (s * s));
         let start = from.correction;
         let mut at = Vector6::from([start.x_m, start.y_m, start.yaw_rad, 0.0, 0.0, 0.0]);
@@ -129,7 +154,8 @@ impl DriftRefiner {
         RefinedCandidate {
             correction: Pose2::new(end[0], end[1], wrap_angle(end[2])),
             score: here.weight / self.points.len().max(1) as f64,
-            information: here.information_of_the_end(),
+            information: here.information_of_the_end(stiff),
+            beyond: drift.bend(self.duration_s, self.travelled_m, prior.pose.yaw_rad + end[2]),
             at_edge: from.at_edge,
         }
     }
@@ -162,6 +188,7 @@ impl DriftRefiner {
         let squared: f64 = (0..3).map(|i: usize| stiff[i] * at[i + 3] * at[i + 3]).sum::<f64>() / temperature;
         sum.value -= 0.5 * temperature * (TAIL + 3.0) * (squared / TAIL).ln_1p();
         let held = (TAIL + 3.0) / (TAIL + squared);
+        sum.held = held;
         for i in 0..3 {
             sum.gradient[i + 3] -= held * stiff[i] * at[i + 3];
             sum.curvature[(i + 3, i + 3)] -= held * stiff[i];
@@ -180,6 +207,8 @@ struct Landscape {
     weight: f64,
     gradient: Vector6,
     curvature: Matrix6,
+    /// Factor on the drift's stiffness in the curvature.
+    held: f64,
 }
 
 impl Landscape {
@@ -212,11 +241,18 @@ impl Landscape {
         (-self.curvature).cholesky().map(|c| c.solve(&self.gradient))
     }
 
-    /// The information about the pose at the end of the batch; zero where this is no maximum.
-    fn information_of_the_end(&self) -> Matrix3<f64> {
-        let Some(covariance) = (-self.curvature).cholesky().map(|c| c.inverse()) else {
+    /// The information about the pose at the end of the batch; zero where this is no maximum. The error of the
+    /// drift's estimate is the score's, and what its prior takes off a drift as large as the odometry's sigmas.
+    fn information_of_the_end(&self, stiff: [f64; 3]) -> Matrix3<f64> {
+        let Some(inverse) = (-self.curvature).cholesky().map(|c| c.inverse()) else {
             return Matrix3::zeros();
         };
+        let mut spread = -self.curvature;
+        for i in 0..3 {
+            let held = self.held * stiff[i];
+            spread[(i + 3, i + 3)] += held * held / (CENTRE * CENTRE * stiff[i]) - held;
+        }
+        let covariance = inverse * spread * inverse;
         let block = |row: usize, column: usize| covariance.fixed_view::<3, 3>(row, column).into_owned();
         let end = block(0, 0) + (block(0, 3) + block(3, 0)) * 0.5 + block(3, 3) * 0.25;
         end.cholesky().map_or_else(Matrix3::zeros, |c| c.inverse())

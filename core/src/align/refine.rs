@@ -28,6 +28,8 @@ pub struct RefinedCandidate {
     /// Negative second derivatives of the summed score over (east m, north m, yaw rad); the drift,
     /// if it was estimated, is marginalised out.
     pub information: Matrix3<f64>,
+    /// Covariance of the same that the score does not know, square metres and radians.
+    pub beyond: Matrix3<f64>,
     /// True when the candidate lay on the edge of the search.
     pub at_edge: bool,
 }
@@ -38,6 +40,7 @@ impl RefinedCandidate {
         correction: Pose2::IDENTITY,
         score: 0.0,
         information: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        beyond: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         at_edge: false,
     };
 
@@ -52,17 +55,18 @@ impl RefinedCandidate {
         let pose = prior.corrected(&candidate.correction);
         let score = field.value(points, &pose, prior.scale) / points.len().max(1) as f64;
         let Candidate { correction, at_edge, .. } = *candidate;
-        Self { correction, score, information: Matrix3::zeros(), at_edge }
+        Self { correction, score, at_edge, ..Self::NONE }
     }
 
-    /// Covariance of (east m, north m, yaw rad): the inverse information times a temperature, infinite where
+    /// Covariance of (east m, north m, yaw rad): the inverse information times a temperature, and what lies beyond it;
+    /// infinite where
     /// the points do not determine the pose.
     #[must_use]
     pub fn covariance(&self, temperature: f64) -> Matrix3<f64> {
         let inverse = self.information.cholesky().map(|c| c.inverse() * temperature);
         inverse
             .filter(|c| c.iter().all(|v| v.is_finite()))
-            .unwrap_or_else(|| Matrix3::from_diagonal_element(f64::INFINITY))
+            .map_or_else(|| Matrix3::from_diagonal_element(f64::INFINITY), |c| c + self.beyond)
     }
 }
 
@@ -86,6 +90,7 @@ pub fn refine(
         correction: Pose2::new(at[0], at[1], wrap_angle(at[2])),
         score: here.value / points.len().max(1) as f64,
         information: -curvature(&here),
+        beyond: Matrix3::zeros(),
         at_edge: candidate.at_edge,
     }
 }

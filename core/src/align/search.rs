@@ -18,8 +18,8 @@ pub struct Search {
     pub candidates: usize,
     /// Two candidates nearer than this are one, metres.
     pub separation_m: f64,
-    /// What odometry may have drifted over a batch.
-    pub drift: DriftPrior,
+    /// What odometry may have drifted over a batch, whatever the batch says of its odometry; `None` believes the batch.
+    pub drift: Option<DriftPrior>,
 }
 
 impl Default for Search {
@@ -30,7 +30,7 @@ impl Default for Search {
             extent_m: MAX_RANGE_M,
             candidates: 5,
             separation_m: 1.0,
-            drift: DriftPrior::default(),
+            drift: None,
         }
     }
 }

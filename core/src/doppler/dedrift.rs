@@ -4,19 +4,28 @@
 //! gyro. So its error while it moves is taken for a straight line in time, in each of forward, left and
 //! yaw rate, and fitted to what the radars measure. Each interval between two estimates is compared as a whole:
 //! the noise of single odometry poses cancels, for where one interval ends the next begins.
+//!
+//! A radar's own errors, above all a mount that is turned by some tenths of a degree, last over a batch and do not
+//! average out. They are estimated along with odometry's, so that a velocity to the left that a turned mount
+//! explains is hardly corrected. Where radars and odometry disagree by more than either may err (wheels
+//! that slip, a wrong mount), nothing is corrected, and the odometry's quality says so.
 
-use nalgebra::{Matrix3x6, SMatrix, SVector, Vector3};
+mod fit;
 
-use super::ego::{EgoConfig, EgoVelocity, ego_velocity};
-use crate::odometry::{BodyVelocity, Trajectory};
+use nalgebra::{Matrix3x6, Matrix6, SVector};
+
+use super::ego::{EgoConfig, Standing, standing};
+use crate::odometry::{BodyVelocity, OdometryQuality, Trajectory};
 use crate::pose::Pose2;
 use crate::scan::{Mount, ScanView, in_time_order};
 
 /// How odometry may err.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometryBias {
-    /// One-sigma error of the velocity along each axis, metres per second.
+    /// One-sigma error of the velocity forward, metres per second.
     pub velocity_mps: f64,
+    /// The same to the left: wheels do not err there, but axes that are not the direction of travel do.
+    pub left_mps: f64,
     /// One-sigma error of the yaw rate, radians per second.
     pub yaw_rate_radps: f64,
     /// Estimates that err alike: so many count as one. What stands along a street draws all of them
@@ -30,7 +39,13 @@ pub struct OdometryBias {
 impl Default for OdometryBias {
     /// A car's: wheels that err by a percent, and a gyro that the radars cannot better by much.
     fn default() -> Self {
-        Self { velocity_mps: 0.1, yaw_rate_radps: 0.05_f64.to_radians(), alike: 4.0, group_s: 0.1 }
+        Self {
+            velocity_mps: 0.1,
+            left_mps: 0.05,
+            yaw_rate_radps: 0.2_f64.to_radians(),
+            alike: 4.0,
+            group_s: 0.1,
+        }
     }
 }
 
@@ -38,17 +53,24 @@ impl OdometryBias {
     /// The largest drift of the paper (Sec. "Sensitivity to Odometric Drift"): 1 degree over 5 s.
     #[must_use]
     pub fn paper() -> Self {
-        Self { yaw_rate_radps: 0.2_f64.to_radians(), ..Self::default() }
+        Self { left_mps: 0.08, yaw_rate_radps: 0.2_f64.to_radians(), ..Self::default() }
     }
 }
 
 /// Odometry that the radars corrected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dedrifted {
-    /// The way, from the same first pose.
+    /// The way, from the same first pose; the odometry's own where `agrees` is false.
     pub trajectory: Trajectory,
     /// What was added to the velocity in the middle of the scans.
     pub correction: BodyVelocity,
+    /// Covariance of (forward m/s, left m/s, yaw rate rad/s) in the middle, and of their changes from there to the
+    /// end: the errors that the correction leaves.
+    pub covariance: Matrix6<f64>,
+    /// How good the trajectory is.
+    pub quality: OdometryQuality,
+    /// Whether radars and odometry agree within what either may err. Where they do not, odometry stays as it is.
+    pub agrees: bool,
     /// Estimates of the own velocity it rests on.
     pub estimates: usize,
 }
@@ -56,6 +78,12 @@ pub struct Dedrifted {
 /// Six numbers: the error of (forward, left, yaw rate) in the middle, and how it changes from there to
 /// the end.
 type VelocityError = SVector<f64, 6>;
+
+/// What stood still around the vehicle within a short time.
+struct Estimate {
+    time_us: i64,
+    standing: Standing,
+}
 
 /// Estimates of the own velocity, fewer of which correct nothing.
 const MIN_ESTIMATES: usize = 5;
@@ -77,24 +105,35 @@ where
     S: IntoIterator<Item: Into<ScanView<'a>>>,
 {
     let estimates = estimates(scans, mounts, ego, bias);
-    let ((first_us, _), (last_us, _)) = (estimates.first()?, estimates.last()?);
-    let span = EstimateSpan { first_us: *first_us, last_us: *last_us };
+    let span = EstimateSpan { first_us: estimates.first()?.time_us, last_us: estimates.last()?.time_us };
     if estimates.len() < MIN_ESTIMATES {
         return None;
     }
-    let line = fitted(&estimates, odometry, &span, bias)?;
-    let correction = body_velocity(&line.fixed_rows::<3>(0).into_owned());
-    let trajectory = span.corrected(odometry, &line)?;
-    Some(Dedrifted { trajectory, correction, estimates: estimates.len() })
+    let compared = beside_odometry(estimates, odometry, bias);
+    let fit::Fitted { line, covariance, agrees } = fit::fitted(&compared, mounts.len(), &span, ego, bias)?;
+    let estimates = compared.len();
+    if !agrees {
+        let quality = quality_of(&(covariance + line * line.transpose()));
+        let (trajectory, correction) = (odometry.clone(), BodyVelocity::default());
+        return Some(Dedrifted { trajectory, correction, covariance, quality, agrees, estimates });
+    }
+    let correction = BodyVelocity { forward_mps: line[0], left_mps: line[1], yaw_rate_radps: line[2] };
+    let (trajectory, quality) = (span.corrected(odometry, &line)?, quality_of(&covariance));
+    Some(Dedrifted { trajectory, correction, covariance, quality, agrees, estimates })
 }
 
-/// Estimates of the own velocity with their times, microseconds.
-fn estimates<'a, S>(
-    scans: S,
-    mounts: &[Mount],
-    ego: &EgoConfig,
-    bias: &OdometryBias,
-) -> Vec<(i64, EgoVelocity)>
+/// The worse of the two axes, and of the middle and the change.
+fn quality_of(covariance: &Matrix6<f64>) -> OdometryQuality {
+    let sigma = |axes: &[usize]| axes.iter().map(|i| covariance[(*i, *i)]).fold(0.0, f64::max).sqrt();
+    OdometryQuality {
+        velocity_mps: sigma(&[0, 1, 3, 4]),
+        velocity_fraction: 0.0,
+        yaw_rate_radps: sigma(&[2, 5]),
+    }
+}
+
+/// What stands still, by times of [`OdometryBias::group_s`].
+fn estimates<'a, S>(scans: S, mounts: &[Mount], ego: &EgoConfig, bias: &OdometryBias) -> Vec<Estimate>
 where
     S: IntoIterator<Item: Into<ScanView<'a>>>,
 {
@@ -109,39 +148,32 @@ where
             rows += scan.range_m.len() as i64;
             offset_us += (scan.time_us - first_us) * scan.range_m.len() as i64;
         }
-        let velocity = ego_velocity(group.iter().copied(), mounts, ego)?;
-        Some((first_us + offset_us / rows.max(1), velocity))
+        let standing = standing(group.iter().copied(), mounts, ego)?;
+        Some(Estimate { time_us: first_us + offset_us / rows.max(1), standing })
     };
     groups.filter_map(estimate).collect()
 }
 
-/// The error of odometry's velocity, weighted by the estimates' covariances.
-fn fitted(
-    estimates: &[(i64, EgoVelocity)],
+/// Estimates with odometry's velocity over the same time; those that odometry does not cover are left out.
+fn beside_odometry(
+    estimates: Vec<Estimate>,
     odometry: &Trajectory,
-    span: &EstimateSpan,
     bias: &OdometryBias,
-) -> Option<VelocityError> {
-    let sigmas = [bias.velocity_mps, bias.velocity_mps, bias.yaw_rate_radps].map(|sigma| sigma.powi(-2));
-    let prior = VelocityError::from_iterator(sigmas.into_iter().cycle().take(6));
-    let (mut information, mut sum) = (SMatrix::<f64, 6, 6>::from_diagonal(&prior), VelocityError::zeros());
-    for (index, (time_us, estimate)) in estimates.iter().enumerate() {
+) -> Vec<(Estimate, BodyVelocity)> {
+    let times: Vec<_> = estimates.iter().map(|estimate| estimate.time_us).collect();
+    let half_us = (bias.group_s * 0.5e6) as i64;
+    let beside = |(index, estimate): (usize, Estimate)| {
+        let time_us = times[index];
         // No longer than a group: an estimate says nothing of a stop that comes before or after it.
-        let half_us = (bias.group_s * 0.5e6) as i64;
-        let middle = |other: Option<&(i64, EgoVelocity)>| {
-            let middle = other.map_or(*time_us, |(t, _)| i64::midpoint(*t, *time_us));
+        let middle = |other: Option<&i64>| {
+            let middle = other.map_or(time_us, |t| i64::midpoint(*t, time_us));
             middle.clamp(time_us - half_us, time_us + half_us)
         };
-        let before = index.checked_sub(1).and_then(|before| estimates.get(before));
-        let (from_us, to_us) = (middle(before), middle(estimates.get(index + 1)));
-        let Some(odometric) = odometry.velocity_between(from_us, to_us) else { continue };
-        let error = vector(&estimate.velocity) - vector(&odometric);
-        let Some(weight) = (estimate.covariance * bias.alike).try_inverse() else { continue };
-        let design = span.design(*time_us);
-        information += design.transpose() * weight * design;
-        sum += design.transpose() * weight * error;
-    }
-    Some(information.cholesky()?.solve(&sum))
+        let before = index.checked_sub(1).and_then(|before| times.get(before));
+        let (from_us, to_us) = (middle(before), middle(times.get(index + 1)));
+        Some((estimate, odometry.velocity_between(from_us, to_us)?))
+    };
+    estimates.into_iter().enumerate().filter_map(beside).collect()
 }
 
 /// The time from the first estimate to the last.
@@ -192,14 +224,6 @@ impl EstimateSpan {
         }
         Some(corrected)
     }
-}
-
-fn vector(v: &BodyVelocity) -> Vector3<f64> {
-    Vector3::new(v.forward_mps, v.left_mps, v.yaw_rate_radps)
-}
-
-fn body_velocity(v: &Vector3<f64>) -> BodyVelocity {
-    BodyVelocity { forward_mps: v.x, left_mps: v.y, yaw_rate_radps: v.z }
 }
 
 #[cfg(test)]

@@ -23,6 +23,13 @@ pub struct EgoConfig {
     /// One-sigma speed of the body's origin to its side, metres per second. The default is for an
     /// origin on the rear axle; infinite where nothing is known.
     pub sigma_left_mps: f64,
+    /// One-sigma error of a mount's yaw, radians, as far as it is known: all detections of a radar turn with it.
+    pub mount_yaw_rad: f64,
+    /// One-sigma error of the azimuth that grows with it, as a fraction.
+    pub azimuth_gain: f64,
+    /// One-sigma error of the radial speed that grows with it, as a fraction: what stands higher than the radar
+    /// is approached more slowly.
+    pub speed_gain: f64,
     /// Velocities tried, each through three detections.
     pub hypotheses: usize,
     /// Estimates on fewer stationary detections are none.
@@ -39,6 +46,9 @@ impl Default for EgoConfig {
             sigma_mps: 0.15,
             inlier_mps: 0.45,
             sigma_left_mps: 0.02,
+            mount_yaw_rad: 0.5_f64.to_radians(),
+            azimuth_gain: 0.005,
+            speed_gain: 0.003,
             hypotheses: 40,
             min_inliers: 12,
             min_share: 0.4,
@@ -61,9 +71,24 @@ pub struct EgoVelocity {
 }
 
 /// One detection's equation: `row . velocity = towards_mps`.
-struct Equation {
-    row: Vector3<f64>,
-    towards_mps: f64,
+pub(super) struct Equation {
+    /// Index of the radar.
+    pub sensor: usize,
+    /// By (forward, left, yaw rate) of the body.
+    pub row: Vector3<f64>,
+    /// By how much the row changes when the detection's direction turns, a radian.
+    pub turning: Vector3<f64>,
+    /// Direction from the boresight, radians.
+    pub azimuth_rad: f64,
+    /// Speed towards the sensor, metres per second.
+    pub towards_mps: f64,
+}
+
+/// What stands still, and the own velocity by it.
+pub(super) struct Standing {
+    pub velocity: EgoVelocity,
+    /// Detections that stand still.
+    pub equations: Vec<Equation>,
 }
 
 /// Estimates the own velocity from scans of about one time (random sample consensus, then least
@@ -71,6 +96,14 @@ struct Equation {
 /// is not mounted.
 #[must_use]
 pub fn ego_velocity<'a, S>(scans: S, mounts: &[Mount], config: &EgoConfig) -> Option<EgoVelocity>
+where
+    S: IntoIterator<Item: Into<ScanView<'a>>>,
+{
+    standing(scans, mounts, config).map(|standing| standing.velocity)
+}
+
+/// The same, with what the estimate rests on.
+pub(super) fn standing<'a, S>(scans: S, mounts: &[Mount], config: &EgoConfig) -> Option<Standing>
 where
     S: IntoIterator<Item: Into<ScanView<'a>>>,
 {
@@ -92,25 +125,33 @@ where
     }
     let fit = fit?;
     let least = (config.min_share * equations.len() as f64).max(config.min_inliers as f64);
-    (fit.inliers as f64 >= least).then(|| EgoVelocity {
+    let found = EgoVelocity {
         velocity: BodyVelocity { forward_mps: velocity.x, left_mps: velocity.y, yaw_rate_radps: velocity.z },
         covariance: fit.covariance,
         inliers: fit.inliers,
         detections: equations.len(),
-    })
+    };
+    equations.retain(|e| e.residual(&velocity).abs() <= config.inlier_mps);
+    (fit.inliers as f64 >= least).then_some(Standing { velocity: found, equations })
 }
 
 fn equations_of<'a>(scan: &ScanView<'a>, mount: &Mount) -> impl Iterator<Item = Equation> + use<'a> {
-    let Mount { x_m, y_m, yaw_rad } = *mount;
+    let (Mount { x_m, y_m, yaw_rad }, sensor) = (*mount, scan.sensor);
     let measured = scan.azimuth_rad.iter().zip(scan.radial_speed_mps);
     measured.map(move |(azimuth, radial_speed)| {
         let (s, c) = (yaw_rad + f64::from(*azimuth)).sin_cos();
-        Equation { row: Vector3::new(c, s, x_m * s - y_m * c), towards_mps: -f64::from(*radial_speed) }
+        Equation {
+            sensor,
+            row: Vector3::new(c, s, x_m * s - y_m * c),
+            turning: Vector3::new(-s, c, x_m * c + y_m * s),
+            azimuth_rad: f64::from(*azimuth),
+            towards_mps: -f64::from(*radial_speed),
+        }
     })
 }
 
 impl Equation {
-    fn residual(&self, velocity: &Vector3<f64>) -> f64 {
+    pub(super) fn residual(&self, velocity: &Vector3<f64>) -> f64 {
         self.towards_mps - self.row.dot(velocity)
     }
 }
@@ -146,7 +187,7 @@ impl Fit {
         let mut information =
             Matrix3::from_diagonal(&Vector3::new(0.0, config.sigma_left_mps.powi(-2), MAX_YAW_RATE.powi(-2)));
         let (mut sum, mut squares, mut inliers) = (Vector3::zeros(), 0.0, 0_usize);
-        for Equation { row, towards_mps } in equations {
+        for Equation { row, towards_mps, .. } in equations {
             information += weight * row * row.transpose();
             sum += weight * *towards_mps * row;
             squares += weight * towards_mps * towards_mps;

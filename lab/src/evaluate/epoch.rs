@@ -6,7 +6,7 @@ use echofix_core::batch::Batch;
 use echofix_core::doppler::dedrift::{OdometryBias, dedrifted};
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::geo::CellIndex;
-use echofix_core::odometry::Trajectory;
+use echofix_core::odometry::{OdometryQuality, Trajectory};
 use echofix_core::point::{BodyPoint, MapPoint};
 use echofix_core::pose::Pose2;
 use echofix_harness::prior::PriorSigma;
@@ -114,13 +114,15 @@ pub fn batch_at(
             dedrifted(seen, mounts, &trajectory, &EgoConfig::default(), &OdometryBias::default())
         }
     };
+    let quality = corrected.as_ref().map_or_else(OdometryQuality::default, |corrected| corrected.quality);
     let trajectory = corrected.map_or(trajectory, |corrected| corrected.trajectory);
     let (Some(truth), Some(end), Some((begin_us, begin))) =
         (world.truth.at(end_us), trajectory.at(end_us), trajectory.first())
     else {
         return Ok(None);
     };
-    let batch = Batch::organise(seen, mounts, &trajectory, end_us, &movers.gate())?;
+    let mut batch = Batch::organise(seen, mounts, &trajectory, end_us, &movers.gate())?;
+    batch.quality = quality;
     let drifted = match condition.drift.and_then(|_| world.truth.at(begin_us)) {
         None => truth,
         Some(start) => {

@@ -124,7 +124,8 @@ impl MethodName {
             Self::Exact => Box::new(Echofix { engine: EngineKind::Bounded, ..Echofix::new(self, windows) }),
             Self::Rigid => {
                 let mut rigid = Echofix::new(self, windows);
-                rigid.search.drift = DriftPrior { position_mps: 1e-5, yaw_radps: 1e-6, ..rigid.search.drift };
+                rigid.search.drift =
+                    Some(DriftPrior { position_mps: 1e-5, yaw_radps: 1e-6, temperature: 3.0 });
                 Box::new(rigid)
             }
             Self::NoDoppler => Box::new(Echofix { movers: Movers::Included, ..Echofix::new(self, windows) }),
