@@ -6,6 +6,7 @@
 use echofix_core::convention::{Convention, Finding};
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::Dropped;
+use echofix_core::odometry::OdometryQuality;
 use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
@@ -108,6 +109,21 @@ pub fn odometry(poses: impl IntoIterator<Item = (i64, Pose2)>, reference_time_us
         message.yaw_rad.push(pose.yaw_rad);
     }
     message
+}
+
+/// The same, with how good the odometry is.
+#[must_use]
+pub fn known_odometry(
+    poses: impl IntoIterator<Item = (i64, Pose2)>,
+    quality: &OdometryQuality,
+    reference_time_us: i64,
+) -> v1::Odometry {
+    v1::Odometry {
+        sigma_velocity_mps: Some(quality.velocity_mps),
+        sigma_velocity_fraction: Some(quality.velocity_fraction),
+        sigma_yaw_rate_radps: Some(quality.yaw_rate_radps),
+        ..odometry(poses, reference_time_us)
+    }
 }
 
 /// Geodetic poses as columns relative to `reference_time_us`.

@@ -271,7 +271,9 @@ where
         if at_once(&scan) {
             pass(&scan);
         } else {
-            slices(&scan).iter().for_each(|slice| pass(&slice.into()));
+            for slice in &slices(&scan) {
+                pass(&slice.into());
+            }
         }
     }
     Ok(dropped)

@@ -8,6 +8,7 @@ use echofix_client::vehicle::{LocalizationQuestion, NotReady, Vehicle, VehicleCo
 use echofix_core::convention::{Finding, in_words};
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::gate::{Gate, MAX_RANGE_M};
+use echofix_core::odometry::OdometryQuality;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -32,6 +33,8 @@ pub struct QuestionPlan {
     pub seed: u64,
     /// Farther detections are dropped on the vehicle, metres.
     pub max_range_m: f64,
+    /// How good the vehicle's odometry is.
+    pub odometry: OdometryQuality,
 }
 
 impl QuestionPlan {
@@ -39,7 +42,8 @@ impl QuestionPlan {
     #[must_use]
     pub fn every(every_s: f64, seed: u64) -> Self {
         let (sigma, max_range_m) = (PriorSigma::PAPER, MAX_RANGE_M);
-        Self { every_s, batch_s: 5.0, warm_up_s: 5.0, priors: 1, sigma, seed, max_range_m }
+        let odometry = OdometryQuality::default();
+        Self { every_s, batch_s: 5.0, warm_up_s: 5.0, priors: 1, sigma, seed, max_range_m, odometry }
     }
 }
 
@@ -80,7 +84,12 @@ impl DriveQuestions {
             )
         })?;
         let gate = Gate { max_range_m: plan.max_range_m, ..Gate::default() };
-        let config = VehicleConfig { window_s: plan.batch_s, gate, ..VehicleConfig::default() };
+        let config = VehicleConfig {
+            window_s: plan.batch_s,
+            gate,
+            odometry_quality: plan.odometry,
+            ..VehicleConfig::default()
+        };
         let mut vehicle = Vehicle::new(config, drive.mounts.clone());
         let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
         let mut questions: Vec<TruthQuestion> = Vec::new();

@@ -1,5 +1,7 @@
 //! Self-calibration on simulated drives whose mounts and clocks are off.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 use echofix_core::calibration::clock::clock_of_batch;
 use echofix_core::calibration::{
     CalibrationConfig, CalibrationSigma, Estimated, RadarCalibration, SelfCalibration,

@@ -1,7 +1,5 @@
 //! Drives in other conventions than the contract's: the service refuses them, and asks for the convention.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
 use std::f64::consts::FRAC_PI_2;
 
 use echofix_client::wire;
@@ -173,7 +171,7 @@ async fn batches_in_another_convention_are_asked_for_it() {
                 assert!(text.contains(convention.question()), "{convention:?}: {text}");
             }
             Err(error) => {
-                assert!(error.to_string().contains(convention.question()), "{convention:?}: {error}")
+                assert!(error.to_string().contains(convention.question()), "{convention:?}: {error}");
             }
         }
     }

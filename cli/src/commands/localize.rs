@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use echofix_client::drivelog;
 use echofix_core::gate::MAX_RANGE_M;
+use echofix_core::odometry::OdometryQuality;
 use echofix_harness::fix_record::FixRecord;
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::prior::PriorSigma;
@@ -50,6 +51,12 @@ pub struct Args {
     /// Largest range of a detection, metres. Farther ones are dropped. The service has its own limit, `radar.max_range_m`.
     #[arg(long, default_value_t = MAX_RANGE_M)]
     max_range_m: f64,
+    /// Standard deviation of the odometry's velocity over a batch, metres per second.
+    #[arg(long, default_value_t = OdometryQuality::default().velocity_mps)]
+    odometry_sigma_mps: f64,
+    /// Standard deviation of the odometry's yaw rate over a batch, degrees per second.
+    #[arg(long, default_value_t = OdometryQuality::default().yaw_rate_radps.to_degrees())]
+    odometry_sigma_degps: f64,
     /// Requests that wait for their fixes at the same time.
     #[arg(long, default_value_t = 2)]
     at_once: usize,
@@ -76,6 +83,11 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
         seed: args.seed,
         warm_up_s: args.warm_up_s,
         max_range_m: args.max_range_m,
+        odometry: OdometryQuality {
+            velocity_mps: args.odometry_sigma_mps,
+            velocity_fraction: 0.0,
+            yaw_rate_radps: args.odometry_sigma_degps.to_radians(),
+        },
     };
     let localizer = patient_localizer(&args.server)?;
     let bar = progress::bar("localizing", 0, json);

@@ -2,6 +2,7 @@
 
 use echofix_core::doppler::dedrift::OdometryBias;
 use echofix_core::gate::Gate;
+use echofix_core::odometry::OdometryQuality;
 
 use super::VehicleCalibration;
 
@@ -21,6 +22,9 @@ pub struct VehicleConfig {
     /// How odometry may err within a batch, for the radars' radial speeds to correct it; `None` to
     /// leave it as it is. Radars that measure no radial speed correct nothing.
     pub odometry_bias: Option<OdometryBias>,
+    /// How good the odometry is by itself; radial speeds that correct it make it better. The default is the worst that
+    /// is usual: state it, and answers get better.
+    pub odometry_quality: OdometryQuality,
     /// How well mounts and clocks of the radars are known, and what becomes of what the drive says of them.
     pub calibration: VehicleCalibration,
     /// A prior is never called better known than this, metres: the search must reach past a fix
@@ -48,6 +52,7 @@ impl Default for VehicleConfig {
             max_odometry_gap_s: 0.5,
             drift: DriftModel::default(),
             odometry_bias: Some(OdometryBias::default()),
+            odometry_quality: OdometryQuality::default(),
             calibration: VehicleCalibration::default(),
             min_prior_sigma_position_m: 0.5,
             min_prior_sigma_yaw_rad: 1_f64.to_radians(),

@@ -34,7 +34,7 @@ use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::Dropped;
 use echofix_core::geo;
-use echofix_core::odometry::{self, Trajectory};
+use echofix_core::odometry::{self, OdometryQuality, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_proto::v1;
@@ -157,7 +157,7 @@ impl Vehicle {
         Self {
             config,
             calibrator: Calibrator::new(config.calibration, mounts.clone()),
-            window: ScanWindow::new(config, mounts),
+            window: ScanWindow::new(&config, mounts),
             anchor: None,
             ahead: None,
             last_fix_us: None,
@@ -173,7 +173,7 @@ impl Vehicle {
         let late_s = self.calibrator.radars().get(scan.sensor).map_or(0.0, |radar| radar.late_s);
         let as_it_came = scan.clone();
         scan.time_us = scan.time_us.saturating_sub(window::micros(late_s));
-        self.window.push_scan(scan)?;
+        self.window.push_scan(&scan)?;
         self.calibrator.push_scan(&as_it_came);
         Ok(())
     }
@@ -234,13 +234,13 @@ impl Vehicle {
         let odometry = self.window.at(time_us).ok_or(NotReady::NoOdometry)?;
         let anchor = self.anchor.ok_or(NotReady::NoPrior)?;
         let prior = anchor.carried(time_us, odometry, &self.config.drift)?;
-        let poses = self.corrected(first.time_us, time_us);
+        let (poses, quality) = self.corrected(first.time_us, time_us);
         // The service goes by the corrected odometry, too.
         let least_mps = self.config.gate.min_speed_mps;
         if let Some(slow) = poses.velocity_at(time_us).filter(|v| v.speed_mps() < least_mps) {
             return Err(NotReady::TooSlow { speed_mps: slow.speed_mps() });
         }
-        let batch = self.batch(&poses, time_us);
+        let batch = self.batch(&poses, &quality, time_us);
         let request = v1::LocalizeRequest {
             batch: Some(batch),
             prior: Some(self.prior(&prior)),
@@ -311,27 +311,31 @@ impl Vehicle {
         (self.anchor, self.ahead, self.last_fix_us) = (None, None, None);
     }
 
-    fn batch(&self, poses: &Trajectory, to_us: i64) -> v1::Batch {
+    fn batch(&self, poses: &Trajectory, quality: &OdometryQuality, to_us: i64) -> v1::Batch {
         v1::Batch {
             reference_time_us: to_us,
             mounts: self.radars().iter().map(|r| wire::known_mount(&r.mount, &r.sigma)).collect(),
             scans: Some(wire::scans(self.window.scans(), to_us)),
-            odometry: Some(wire::odometry(poses.iter(), to_us)),
+            odometry: Some(wire::known_odometry(poses.iter(), quality, to_us)),
             dropped: Some(wire::dropped(&self.window.dropped_lately())),
             suspected: wire::suspected(&self.findings()),
         }
     }
 
-    /// The odometry of a batch, corrected by what the radars say of the own velocity.
-    fn corrected(&self, from_us: i64, to_us: i64) -> Trajectory {
+    /// The odometry of a batch, corrected by what the radars say of the own velocity, and how good it is.
+    fn corrected(&self, from_us: i64, to_us: i64) -> (Trajectory, OdometryQuality) {
         // One pose beyond each end, so that the ends can be interpolated.
         let mut odometry = self.window.odometry().clone();
         odometry.trim_before(from_us);
         odometry.trim_after(to_us);
-        let Some(bias) = self.config.odometry_bias else { return odometry };
-        let mounts = self.window.mounts();
-        let corrected = dedrifted(self.window.scans(), mounts, &odometry, &EgoConfig::default(), &bias);
-        corrected.map_or(odometry, |corrected| corrected.trajectory)
+        let own = self.config.odometry_quality;
+        let Some(bias) = self.config.odometry_bias else { return (odometry, own) };
+        // A mount that was calibrated tells odometry's errors from its own.
+        let worst_rad = self.radars().iter().map(|radar| radar.sigma.yaw_rad).fold(0.0, f64::max);
+        let unknown = EgoConfig::default();
+        let ego = EgoConfig { mount_yaw_rad: worst_rad.clamp(0.0, unknown.mount_yaw_rad), ..unknown };
+        let corrected = dedrifted(self.window.scans(), self.window.mounts(), &odometry, &ego, &bias);
+        corrected.map_or((odometry, own), |corrected| (corrected.trajectory, corrected.quality))
     }
 
     fn prior(&self, pose: &GeoPose) -> v1::Prior {

@@ -30,9 +30,9 @@ pub(super) struct ScanWindow {
 }
 
 impl ScanWindow {
-    pub(super) fn new(config: VehicleConfig, mounts: Vec<Mount>) -> Self {
+    pub(super) fn new(config: &VehicleConfig, mounts: Vec<Mount>) -> Self {
         Self {
-            config,
+            config: *config,
             mounts,
             odometry: Trajectory::default(),
             travelled_m: 0.0,
@@ -44,7 +44,7 @@ impl ScanWindow {
         }
     }
 
-    pub(super) fn push_scan(&mut self, scan: Scan) -> Result<(), Error> {
+    pub(super) fn push_scan(&mut self, scan: &Scan) -> Result<(), Error> {
         scan.validate()?;
         let (sensor, time_us) = (scan.sensor, scan.time_us);
         if sensor >= self.mounts.len() {
@@ -60,7 +60,7 @@ impl ScanWindow {
         if time_us < self.oldest_us() {
             return Err(Error::TooLate { time_us, oldest_us: self.oldest_us() });
         }
-        for slice in slices(&(&scan).into()) {
+        for slice in slices(&scan.into()) {
             if slice.time_us < self.oldest_us() {
                 self.dropped.without_pose += slice.len() as u64;
             } else {
@@ -200,7 +200,7 @@ mod tests {
     use crate::testing::T0;
 
     fn window() -> ScanWindow {
-        ScanWindow::new(VehicleConfig::default(), vec![Mount::IDENTITY; 2])
+        ScanWindow::new(&VehicleConfig::default(), vec![Mount::IDENTITY; 2])
     }
 
     fn scan(sensor: usize, time_us: i64) -> Scan {
@@ -220,7 +220,7 @@ mod tests {
         let mut w = window();
         drive(&mut w, 0, 2, 10.0);
         for (sensor, offset_us) in [(0, 150_000), (1, 120_000), (0, 50_000), (1, 250_000)] {
-            w.push_scan(scan(sensor, T0 + offset_us)).unwrap();
+            w.push_scan(&scan(sensor, T0 + offset_us)).unwrap();
         }
         let times = |w: &ScanWindow| w.scans().iter().map(|s| s.time_us - T0).collect::<Vec<_>>();
         assert_eq!(times(&w), [50_000], "the others are ahead of odometry");
@@ -233,13 +233,13 @@ mod tests {
         let mut w = window();
         for i in 0..100 {
             drive(&mut w, i, i + 1, 10.0);
-            w.push_scan(scan(0, T0 + i * 100_000)).unwrap();
+            w.push_scan(&scan(0, T0 + i * 100_000)).unwrap();
         }
         assert_eq!(w.scans().len(), 51);
         assert_eq!(w.odometry().len(), 51);
         assert!((w.at(T0 + 9_900_000).unwrap().1 - 99.0).abs() < 1e-9);
         assert!((w.at(T0 + 9_850_000).unwrap().1 - 98.5).abs() < 1e-9);
-        let error = w.push_scan(scan(0, T0)).unwrap_err();
+        let error = w.push_scan(&scan(0, T0)).unwrap_err();
         assert!(matches!(error, Error::TooLate { .. }), "{error}");
     }
 
@@ -247,9 +247,9 @@ mod tests {
     fn slow_scans_and_scans_in_a_gap_of_odometry_are_dropped() {
         let mut w = window();
         drive(&mut w, 0, 5, 0.5);
-        w.push_scan(scan(0, T0 + 200_000)).unwrap();
+        w.push_scan(&scan(0, T0 + 200_000)).unwrap();
         assert_eq!((w.scans().len(), w.dropped().too_slow), (0, 1));
-        w.push_scan(scan(0, T0 + 900_000)).unwrap();
+        w.push_scan(&scan(0, T0 + 900_000)).unwrap();
         drive(&mut w, 20, 21, 0.5);
         assert_eq!(w.dropped().without_pose, 1);
     }
@@ -257,12 +257,12 @@ mod tests {
     #[test]
     fn what_cannot_be_placed_is_refused() {
         let mut w = window();
-        assert!(matches!(w.push_scan(scan(0, T0)), Err(Error::AheadOfOdometry { .. })));
+        assert!(matches!(w.push_scan(&scan(0, T0)), Err(Error::AheadOfOdometry { .. })));
         drive(&mut w, 0, 2, 10.0);
-        assert!(matches!(w.push_scan(scan(2, T0)), Err(Error::UnknownSensor { sensor: 2, mounts: 2 })));
-        assert!(matches!(w.push_scan(scan(0, T0 + 60_000_000)), Err(Error::AheadOfOdometry { .. })));
+        assert!(matches!(w.push_scan(&scan(2, T0)), Err(Error::UnknownSensor { sensor: 2, mounts: 2 })));
+        assert!(matches!(w.push_scan(&scan(0, T0 + 60_000_000)), Err(Error::AheadOfOdometry { .. })));
         let torn = Scan { azimuth_rad: vec![], ..scan(0, T0) };
-        assert!(matches!(w.push_scan(torn), Err(Error::Scan(_))));
+        assert!(matches!(w.push_scan(&torn), Err(Error::Scan(_))));
         assert!(matches!(w.push_odometry(T0, Pose2::IDENTITY), Err(Error::Odometry(_))));
     }
 }

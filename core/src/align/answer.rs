@@ -26,7 +26,7 @@ pub struct Alignment {
     /// The answer's mean weight relative to that of a random shift.
     pub contrast: f64,
     /// How clearly the objects in view prefer the answer to its strongest rival, in the search or around it, nats:
-    /// see [`Preference::nats`](super::objects::Preference::nats). Infinite without a rival.
+    /// see [`Preference::nats`](super::objects::Preference::nats). 0 without a rival: then nothing can be said.
     pub margin: f64,
     /// That rival.
     pub rival: Option<Rival>,
@@ -90,7 +90,7 @@ impl Findings<'_> {
             alternatives: self.alternatives(background, truer),
             score: rigid.score - background,
             contrast: rigid.score / background.max(f64::MIN_POSITIVE),
-            margin: self.challenge.strongest.map_or(f64::INFINITY, |rival| rival.preference.nats()),
+            margin: self.challenge.strongest.map_or(0.0, |rival| rival.preference.nats()),
             rival: self
                 .challenge
                 .strongest

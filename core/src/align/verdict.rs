@@ -54,7 +54,7 @@ impl Default for Integrity {
         Self {
             min_points: 40,
             min_coverage: 0.5,
-            min_margin: 2.4,
+            min_margin: 2.0,
             matched_within_m: 0.3,
             lost_below: 1.3,
             alone_below: 0.7,
@@ -198,8 +198,8 @@ pub(super) mod tests {
         others
     }
 
-    fn rival(x_m: f64, y_m: f64, beyond: bool) -> Option<Rival> {
-        Some(Rival { correction: Pose2::new(x_m, y_m, 0.0), preference: Preference::default(), beyond })
+    fn rival(x_m: f64, y_m: f64, beyond: bool) -> Rival {
+        Rival { correction: Pose2::new(x_m, y_m, 0.0), preference: Preference::default(), beyond }
     }
 
     pub(in crate::align) fn answer() -> Alignment {
@@ -211,7 +211,7 @@ pub(super) mod tests {
             score: 1.0,
             contrast: 3.0,
             margin: 20.0,
-            rival: rival(5.0, 0.0, false),
+            rival: Some(rival(5.0, 0.0, false)),
             points_used: 7000,
             thinned_points: 2000,
             matched_fraction: 0.9,
@@ -236,11 +236,11 @@ pub(super) mod tests {
         let lost = judged(|a| (a.contrast, a.margin) = (1.0, 1.0));
         assert!(matches!(lost, Verdict::Lost { .. }), "{lost:?}");
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
-        let aside = judged(|a| (a.margin, a.rival) = (1.0, rival(0.0, 5.0, false)));
+        let aside = judged(|a| (a.margin, a.rival) = (1.0, Some(rival(0.0, 5.0, false))));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
-        let displaced = judged(|a| (a.margin, a.rival) = (-1.0, rival(15.0, 0.0, true)));
+        let displaced = judged(|a| (a.margin, a.rival) = (-1.0, Some(rival(15.0, 0.0, true))));
         assert_eq!(displaced, Verdict::PriorOutsideSearch);
-        let contradicted = judged(|a| (a.margin, a.rival) = (1.0, rival(15.0, 0.0, true)));
+        let contradicted = judged(|a| (a.margin, a.rival) = (1.0, Some(rival(15.0, 0.0, true))));
         assert!(matches!(contradicted, Verdict::MapStale { .. }), "{contradicted:?}");
         assert!(matches!(judged(|a| a.covariance[0][0] = 4.0), Verdict::TooLittleStructure { .. }));
         let unheld = judged(|a| a.covariance[0][0] = f64::INFINITY);

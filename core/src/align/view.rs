@@ -153,7 +153,7 @@ impl MapView {
             tile.datum.variance().unwrap_or(MapVariance { position_m2, yaw_rad2: 0.0 })
         };
         let at = |position| tiles.iter().find(|tile| tile.id == TileId::of(zone, position));
-        let under = MapVariance::mean(positions.filter_map(|p| at(p)).map(|tile| variance(tile)));
+        let under = MapVariance::mean(positions.filter_map(at).map(|tile| variance(tile)));
         // Nothing lies on the map: such an answer is not used, and gets what the window as a whole has.
         under
             .or_else(|| MapVariance::mean(tiles.iter().map(|tile| variance(tile))))

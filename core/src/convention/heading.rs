@@ -11,8 +11,11 @@ use crate::drive::GeoPose;
 use crate::geo::{LatLon, MetresPerDegree};
 use crate::pose::{Pose2, wrap_angle};
 
-/// How a yaw is read: each convention gives the contract's yaw, radians.
-pub(super) const YAWS: [(Convention, fn(f64) -> f64); 4] = [
+/// A convention, and what turns a yaw in it into the contract's, radians.
+type YawReading = (Convention, fn(f64) -> f64);
+
+/// How a yaw is read.
+pub(super) const YAWS: [YawReading; 4] = [
     (Convention::YawFromNorth, |yaw| FRAC_PI_2 - yaw),
     (Convention::YawFromNorthCounterClockwise, |yaw| yaw + FRAC_PI_2),
     (Convention::YawClockwise, |yaw| -yaw),

@@ -104,7 +104,9 @@ const RADAR: [(&str, Spoil, &[Convention]); 7] = [
 ];
 
 fn each(column: &mut [f32], change: impl Fn(f32) -> f32) {
-    column.iter_mut().for_each(|value| *value = change(*value));
+    for value in column {
+        *value = change(*value);
+    }
 }
 
 /// Catches a convention that is not recognised, taken for another one, or told without words; from crawling to fast.
@@ -113,7 +115,9 @@ fn each_wrong_convention_of_a_radar_is_named() {
     for (name, spoil, expected) in RADAR {
         for speed_mps in [4.0, 9.0, 25.0] {
             let (mut scans, way) = drive(Scene { speed_mps, ..STREET }, 1);
-            scans.iter_mut().for_each(|scan| spoil(scan, speed_mps as f32));
+            for scan in &mut scans {
+                spoil(scan, speed_mps as f32);
+            }
             let findings = findings_of(&scans, &way);
             assert_eq!(findings.len(), 1, "{name} at {speed_mps}: {findings:?}");
             assert_eq!(findings[0].suspects(), expected, "{name} at {speed_mps}: {}", findings[0]);
@@ -156,7 +160,9 @@ fn what_is_right_is_not_suspected() {
             for finding in findings_of(&scans, &way) {
                 assert!(finding.suspects().is_empty(), "{scene:?}: {finding}");
             }
-            scans.iter_mut().for_each(|scan| scan.radial_speed_mps.clear());
+            for scan in &mut scans {
+                scan.radial_speed_mps.clear();
+            }
             assert_eq!(findings_of(&scans, &way), []);
         }
     }
@@ -245,7 +251,9 @@ fn a_yaw_in_another_convention_is_named() {
         assert!(noticed >= 3, "{convention:?}: {noticed}");
     }
     let mut degrees = poses(120.0, false);
-    degrees.iter_mut().for_each(|p| p.yaw_rad = p.yaw_rad.to_degrees());
+    for p in &mut degrees {
+        p.yaw_rad = p.yaw_rad.to_degrees();
+    }
     assert_eq!(sideways(&degrees, false)[0].suspects(), [Convention::YawDegrees]);
 }
 
@@ -257,7 +265,9 @@ fn a_yaw_that_is_right_is_not_suspected() {
         let forwards = poses(begin_deg, false);
         assert_eq!(sideways(&forwards, true), []);
         let mut backwards = forwards.clone();
-        backwards.iter_mut().for_each(|p| p.yaw_rad += std::f64::consts::PI);
+        for p in &mut backwards {
+            p.yaw_rad += std::f64::consts::PI;
+        }
         assert_eq!(sideways(&backwards, false), []);
         assert_eq!(sideways(&poses(begin_deg, true), false), []);
     }
@@ -267,7 +277,9 @@ fn a_yaw_that_is_right_is_not_suspected() {
 #[test]
 fn movers_that_outnumber_what_stands_are_told_with_their_share() {
     let (mut scans, way) = drive(STREET, 1);
-    scans.iter_mut().for_each(|scan| each(&mut scan.radial_speed_mps, |v| -v));
+    for scan in &mut scans {
+        each(&mut scan.radial_speed_mps, |v| -v);
+    }
     let inspection = inspect(&scans, &mounts(), &way);
     assert_eq!(inspection.mostly_moving(40, 60), None);
     let text = inspection.mostly_moving(59, 41).unwrap().to_string();

@@ -4,7 +4,7 @@
 use echofix_core::convention::Convention;
 use echofix_core::drive::GeoPose;
 use echofix_core::geo::LatLon;
-use echofix_core::odometry::{self, Trajectory};
+use echofix_core::odometry::{self, OdometryQuality, Trajectory};
 use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
@@ -50,6 +50,8 @@ pub struct DecodedBatch {
     pub scans: ScanColumns,
     /// The vehicle's way in its odometry frame.
     pub odometry: Trajectory,
+    /// How good the odometry is.
+    pub quality: OdometryQuality,
     /// What the vehicle says of its data itself.
     pub told: Told,
 }
@@ -67,9 +69,11 @@ pub fn batch(batch: Option<v1::Batch>, field: &str) -> Result<DecodedBatch, Inva
     let mounts = self::mounts(&mounts, &at("mounts"))?;
     let columns = required(columns, &at("scans"))?;
     let scans = scans(columns, reference_time_us, mounts.len(), &at("scans"))?;
-    let odometry = odometry(required(way, &at("odometry"))?, reference_time_us, &at("odometry"))?;
+    let way = required(way, &at("odometry"))?;
+    let quality = quality(&way, &at("odometry"))?;
+    let odometry = odometry(way, reference_time_us, &at("odometry"))?;
     let told = Told::of(dropped, &suspected);
-    Ok(DecodedBatch { reference_time_us, mounts, mount_sigmas, scans, odometry, told })
+    Ok(DecodedBatch { reference_time_us, mounts, mount_sigmas, scans, odometry, quality, told })
 }
 
 /// A time on a day that the map can count.
@@ -139,7 +143,7 @@ pub fn odometry(
     field: &str,
 ) -> Result<Trajectory, InvalidField> {
     let at = |name: &str| format!("{field}.{name}");
-    let v1::Odometry { time_offset_us, x_m, y_m, yaw_rad } = columns;
+    let v1::Odometry { time_offset_us, x_m, y_m, yaw_rad, .. } = columns;
     limit(time_offset_us.len(), MAX_POSES, &at("time_offset_us"))?;
     for (name, column) in [("x_m", &x_m), ("y_m", &y_m), ("yaw_rad", &yaw_rad)] {
         same_length(column.len(), time_offset_us.len(), &at(name), "time_offset_us")?;
@@ -151,6 +155,19 @@ pub fn odometry(
         odometry::Error::NotIncreasing { .. } => InvalidField::new(at("time_offset_us"), error),
         odometry::Error::NotFinite { .. } => InvalidField::new(field, error),
     })
+}
+
+/// How good odometry is; the default where it is silent.
+fn quality(way: &v1::Odometry, field: &str) -> Result<OdometryQuality, InvalidField> {
+    let silent = OdometryQuality::default();
+    let stated = way.sigma_velocity_mps.or(way.sigma_velocity_fraction).is_some();
+    let quality = OdometryQuality {
+        velocity_mps: way.sigma_velocity_mps.unwrap_or(if stated { 0.0 } else { silent.velocity_mps }),
+        velocity_fraction: way.sigma_velocity_fraction.unwrap_or(silent.velocity_fraction),
+        yaw_rate_radps: way.sigma_yaw_rate_radps.unwrap_or(silent.yaw_rate_radps),
+    };
+    let problem = "must be sigmas that are finite and not negative";
+    if quality.is_sound() { Ok(quality) } else { Err(InvalidField::new(format!("{field}.sigma"), problem)) }
 }
 
 /// Absolute poses, oldest first.

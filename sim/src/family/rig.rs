@@ -52,6 +52,7 @@ fn sharp() -> RadarSpec {
         rate_hz: 15.0,
         max_detections: 128,
         sensitivity: 1.5,
+        returns: 1.0,
         noise: Noise {
             range_m: 0.1,
             azimuth_rad: 0.25_f64.to_radians(),
@@ -59,7 +60,6 @@ fn sharp() -> RadarSpec {
             rcs_db: 2.0,
         },
         clutter: Clutter { moving: 10.0, at_rest: 20.0 },
-        ..RadarSpec::esr()
     }
 }
 
@@ -89,7 +89,6 @@ fn halves() -> Vec<RadarSpec> {
         returns: 1.5,
         noise: Noise { range_m: 0.12, azimuth_rad: 0.9_f64.to_radians(), radial_speed_mps: 0.1, rcs_db: 2.0 },
         clutter: Clutter { moving: 40.0, at_rest: 40.0 },
-        ..RadarSpec::esr()
     };
     vec![half(0.0), half(PI)]
 }
@@ -109,6 +108,5 @@ fn imaging() -> RadarSpec {
             rcs_db: 2.0,
         },
         clutter: Clutter { moving: 150.0, at_rest: 200.0 },
-        ..RadarSpec::esr()
     }
 }

@@ -5,7 +5,7 @@ use echofix_core::doppler::dedrift::{OdometryBias, dedrifted};
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::Drive;
 use echofix_core::gate::{Gate, gate_scan};
-use echofix_core::odometry::Trajectory;
+use echofix_core::odometry::{OdometryQuality, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 use echofix_sim::{Drift, Growth};
@@ -86,9 +86,11 @@ pub fn organised(
     let corrected = corrects
         .then(|| dedrifted(&scans, &mounts, &odometry, &EgoConfig::default(), &OdometryBias::default()))
         .flatten();
-    let odometry = corrected.map_or(odometry, |corrected| corrected.trajectory);
+    let silent = OdometryQuality::default();
+    let (odometry, quality) = corrected.map_or((odometry, silent), |c| (c.trajectory, c.quality));
     let Some(newest_us) = scans.last().map(|scan| scan.time_us) else { return Ok(None) };
-    Ok(Some((Batch::organise(&scans, &mounts, &odometry, newest_us, &gate)?, newest_us)))
+    let batch = Batch::organise(&scans, &mounts, &odometry, newest_us, &gate)?;
+    Ok(Some((Batch { quality, ..batch }, newest_us)))
 }
 
 fn part(scans: &[Scan], start_us: i64, end_us: i64) -> &[Scan] {

@@ -29,10 +29,10 @@ pub fn section(rows: &[TrustRecord], cases: &[Case], seeds: &[u64]) -> anyhow::R
     let mut words = format!("{WORDS}\n{}", by_case(&tallies));
     for named in ["right", "12 to 30 m off"] {
         if let Some(tally) = tallies.iter().find(|tally| tally.case == named) {
-            words += &format!("\nBy family, `{named}`:\n\n{}", by_family(tally));
+            words.extend(["\nBy family, `", named, "`:\n\n", &by_family(tally)]);
         }
     }
-    words += &format!("\nVerdicts:\n\n{}", verdicts(&tallies));
+    words.extend(["\nVerdicts:\n\n", &verdicts(&tallies)]);
     let data =
         format!("Worlds of the seeds {}.", seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", "));
     CrowdSection::with_data(Experiment::Trust, words, data, &tallies)

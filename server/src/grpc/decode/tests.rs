@@ -117,6 +117,7 @@ fn a_batch_needs_all_its_parts() {
         x_m: vec![0.0, 1.0],
         y_m: vec![0.0; 2],
         yaw_rad: vec![0.0; 2],
+        ..v1::Odometry::default()
     };
     let whole = v1::Batch {
         reference_time_us: 1_000,

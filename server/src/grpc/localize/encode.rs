@@ -33,7 +33,12 @@ pub(super) struct BatchFacts {
 impl BatchFacts {
     pub(super) fn of(batch: &Batch) -> Self {
         let detections = u32::try_from(batch.detections).unwrap_or(u32::MAX);
-        let findings = in_words(&batch.findings);
+        let jumped = "the odometry made a step that no car can make: only what was seen after it counts";
+        let findings = match (in_words(&batch.findings), batch.odometry_jumped) {
+            (findings, false) => findings,
+            (findings, true) if findings.is_empty() => jumped.to_owned(),
+            (findings, true) => format!("{findings}; {jumped}"),
+        };
         Self { detections, duration_s: batch.duration_s, travelled_m: batch.travelled_m, findings }
     }
 }
@@ -129,7 +134,7 @@ fn diagnostics(answer: &LocateAnswer, batch: &BatchFacts) -> Diagnostics {
         align_ms: milliseconds(answer.timing.align),
         contrast: alignment.contrast,
         searched_wide: answer.relocalized,
-        margin: if alignment.margin.is_finite() { alignment.margin } else { 0.0 },
+        margin: alignment.margin,
         rival: alignment.rival.map(|rival| relative(&rival.correction)),
     }
 }
