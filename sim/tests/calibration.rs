@@ -103,7 +103,7 @@ fn errors_are_as_large_as_their_sigmas_say() {
     let floors = CalibrationSigma { late_s: 1e-3, ..CalibrationSigma::default() };
     let config = CalibrationConfig { floors, lever_scale: 0.0, ..CalibrationConfig::default() };
     // The shorter the drive, the less its few stretches are believed.
-    for (seconds, least) in [(30.0, 0.1), (200.0, 0.25)] {
+    for (seconds, least) in [(30.0, 0.1), (200.0, 0.15)] {
         let mut sums = [0.0; 4];
         let mut most = [0.0_f64; 4];
         let seeds = 12;

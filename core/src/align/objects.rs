@@ -48,6 +48,8 @@ pub struct Preference {
     pub sum: f64,
     /// Objects that say anything.
     pub objects: usize,
+    /// Fraction of what the map knows at the first pose that it knows at the second one, too.
+    pub shared: f64,
 }
 
 impl Preference {
@@ -119,8 +121,11 @@ impl Objects {
         field.weigh(self.points.iter(), other, scale, &mut self.there);
         self.statements.fill(0.0);
         let weights = self.here.iter().zip(&self.there);
+        let (mut known, mut shared) = (0.0, 0.0);
         for ((point, object), (here, there)) in self.points.iter().zip(&self.of_point).zip(weights) {
+            known += if *here > UNKNOWN { f64::from(point.vote) } else { 0.0 };
             if *here > UNKNOWN && *there > UNKNOWN {
+                shared += f64::from(point.vote);
                 self.statements[*object as usize] += point.vote * (here - there);
             }
         }
@@ -130,7 +135,11 @@ impl Objects {
             squared += statement * statement;
             objects += 1;
         }
-        Preference { sum: if squared > 0.0 { sum / squared.sqrt() } else { 0.0 }, objects }
+        Preference {
+            sum: if squared > 0.0 { sum / squared.sqrt() } else { 0.0 },
+            objects,
+            shared: if known > 0.0 { shared / known } else { 0.0 },
+        }
     }
 
     /// The fraction of the objects' points that lie where the map has been, each counted by its returns; 0

@@ -44,7 +44,7 @@ impl RefinedCandidate {
         at_edge: false,
     };
 
-    /// The candidate where the engine found it, with its score by nearest cells and without information.
+    /// The candidate where the engine found it, with its smooth score and without information.
     #[must_use]
     pub fn unrefined(
         field: &ScoreField,
@@ -53,7 +53,7 @@ impl RefinedCandidate {
         candidate: &Candidate,
     ) -> Self {
         let pose = prior.corrected(&candidate.correction);
-        let score = field.value(points, &pose, prior.scale) / points.len().max(1) as f64;
+        let score = field.slope(points, &pose, prior.scale).value / points.len().max(1) as f64;
         let Candidate { correction, at_edge, .. } = *candidate;
         Self { correction, score, at_edge, ..Self::NONE }
     }

@@ -16,6 +16,9 @@ use crate::pose::Pose2;
 const AROUND_M: f64 = 24.0;
 /// Other headings that are looked at, radians to either side.
 const AROUND_RAD: f64 = 0.017;
+/// Fraction of what the map knows at the answer that it must know at a rival: where the map has hardly been, nothing can
+/// be said for or against it.
+const LEAST_SHARED: f64 = 0.5;
 /// Rivals beyond the search that are compared.
 const BEYOND: usize = 6;
 
@@ -78,6 +81,9 @@ impl RivalFinder {
         {
             let other = prior.corrected(&correction);
             let preference = self.objects.preference(&ranking.field, &other, scale);
+            if preference.shared < LEAST_SHARED {
+                continue;
+            }
             if strongest.is_none_or(|so_far| preference.sum < so_far.preference.sum) {
                 let beyond = question.lattice.is_left_by(&correction);
                 strongest = Some(Rival { correction, preference, beyond });

@@ -7,12 +7,12 @@ use nalgebra::Matrix3;
 
 use super::MapSide;
 use super::part::UploadPart;
-use crate::align::engine::Candidate;
+use crate::align::engine::{Candidate, Stepped};
 use crate::align::pipeline::Pipeline;
 use crate::align::ranking::Ranking;
 use crate::align::refine::{RefinedCandidate, refine};
 use crate::align::weights::TileWeights;
-use crate::align::{EngineKind, Prior, Search};
+use crate::align::{Prior, Search};
 use crate::batch::Batch;
 use crate::geo::TileId;
 use crate::point::{MapPoint, WeightedPoint};
@@ -184,7 +184,7 @@ impl PartMatcher {
         let search = Search { sigmas: 1.0, extent_m: limits.extent_m, ..Search::default() };
         // The engine that is asked counts the thinned points only.
         let batch = Batch::default();
-        let engine = EngineKind::Fast.engine();
+        let engine = &Stepped::BEST;
         Some(matched(&self.pipeline.rank(engine, &batch, &prior, &search, Some(EXPECTED)), limits))
     }
 }

@@ -156,6 +156,9 @@ pub enum LocateRefusal {
         /// What seems to be wrong with the batch, in words.
         findings: String,
     },
+    /// The batch seems to be in another convention than the contract's.
+    #[error("the batch seems to be in another convention than the contract's: {0}")]
+    WrongConvention(String),
     /// The prior's sigma asks for a search wider than the service offers.
     #[error("the prior's sigma of {what} is {given:.3}; at most {most:.3} can be searched")]
     PriorTooUncertain {
@@ -271,6 +274,10 @@ impl Locator {
         }
         if batch.points.len() < min_detections {
             return Err(too_few(batch, min_detections));
+        }
+        // What is left of a batch in another convention fits by chance, if at all.
+        if batch.findings.iter().any(|finding| !finding.suspects().is_empty()) {
+            return Err(LocateRefusal::WrongConvention(in_words(&batch.findings)));
         }
         let bound = |what, given: f64, most: f64| {
             // What is no number, as the root of an overflow, is within no limit.

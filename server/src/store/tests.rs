@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use echofix_core::datum::Offset;
 use echofix_core::evidence::Cell;
 use echofix_core::tile::{self, Ledger};
 use proptest::prelude::*;
@@ -82,7 +83,8 @@ fn model(uploads: &[UploadRecord]) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     for (number, upload) in (1..).zip(uploads) {
         for (id, evidence) in &upload.contribution.tiles {
             let (version, tile, ledger) = tiles.entry(*id).or_default();
-            tile.fold(ledger, upload.pass, evidence);
+            let sigma = upload.declared.unwrap_or_default();
+            tile.fold_moved(ledger, upload.pass, evidence, Offset::default(), sigma);
             *version = number;
         }
     }

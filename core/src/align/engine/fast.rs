@@ -261,13 +261,25 @@ impl FastBuffers {
         most_points: usize,
         image: &ImageView,
         around: &Around,
-        candidates: &mut [Candidate],
+        candidates: &mut Vec<Candidate>,
     ) {
         self.take_points(question, most_points);
         for candidate in candidates.iter_mut() {
             self.sharpen_one(question, image, around, candidate);
         }
         candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
+        // Those that moved onto the same hill are one: else the flanks of the best one would leave no room for others.
+        let mut apart = 0;
+        for i in 0..candidates.len() {
+            let near = |kept: &Candidate| {
+                kept.correction.distance_m(&candidates[i].correction) < question.search.separation_m
+            };
+            if !candidates[..apart].iter().any(near) {
+                candidates.swap(apart, i);
+                apart += 1;
+            }
+        }
+        candidates.truncate(apart);
     }
 
     fn sharpen_one(

@@ -16,6 +16,7 @@ mod fast;
 mod fft;
 mod question;
 mod reference;
+mod stepped;
 mod workspace;
 
 pub use bounded::Bounded;
@@ -23,6 +24,7 @@ pub use fast::Fast;
 pub use fft::Fft;
 pub use question::SearchQuestion;
 pub use reference::Reference;
+pub use stepped::Stepped;
 pub use workspace::EngineWorkspace;
 
 use crate::pose::Pose2;

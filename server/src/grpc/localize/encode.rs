@@ -217,6 +217,7 @@ pub(super) fn reason(refusal: &LocateRefusal) -> &'static str {
         LocateRefusal::TooSlow { .. } => "TOO_SLOW",
         LocateRefusal::NoDetections => "NO_DETECTIONS",
         LocateRefusal::TooFewDetections { .. } => "TOO_FEW_DETECTIONS",
+        LocateRefusal::WrongConvention(_) => "WRONG_CONVENTION",
         LocateRefusal::PriorTooUncertain { .. } => "PRIOR_TOO_UNCERTAIN",
         LocateRefusal::Place(_) => "OUTSIDE_UTM",
         LocateRefusal::Overloaded { .. } => "OVERLOADED",
