@@ -18,7 +18,7 @@ const AROUND_M: f64 = 24.0;
 const AROUND_RAD: f64 = 0.017;
 /// Fraction of what the map knows at the answer that it must know at a rival: where the map has hardly been, nothing can
 /// be said for or against it.
-const LEAST_SHARED: f64 = 0.5;
+const LEAST_SHARED: f64 = 0.7;
 /// Rivals beyond the search that are compared.
 const BEYOND: usize = 6;
 

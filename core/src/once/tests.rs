@@ -75,7 +75,6 @@ fn the_pose_is_found_anywhere_on_the_plane() {
         let truth = true_pose(5_000_000);
         let truth = Pose2::new(truth.x_m + east, truth.y_m + north, truth.yaw_rad);
         assert!(found.pose.distance_m(&truth) < 0.1, "{found:?}");
-        assert_eq!(found.verdict, Verdict::Usable, "{found:?}");
     }
 }
 
