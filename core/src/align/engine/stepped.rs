@@ -1,6 +1,6 @@
 //! The search that uploads are vetted by: coarse to fine, with every second heading and five hills.
 //!
-//! [`Stepped`](super::Stepped) misses less. But by how much vetting moves an upload is part of the map, and another search would
+//! [`Fast`](super::Fast) misses less. But by how much vetting moves an upload is part of the map, and another search would
 //! move it by some millimetres more or less: every map would be folded anew, and every vehicle would download it anew.
 
 use std::cmp::Reverse;
