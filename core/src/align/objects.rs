@@ -3,13 +3,15 @@
 //! Returns of one object are not independent: a parked car that stands half a metre from where the map has
 //! one moves all of its returns alike, however many they are. What is independent are objects. So the points
 //! of a batch are grouped by squares of about an object's size, each square says by how much its points weigh
-//! more at one pose than at the other, and the squares' statements are summed and divided by the root of
-//! the sum of their squares.
+//! more at one pose than at the other, and the statements' roots, with their signs, are summed and divided by the
+//! root of the sum of their squares.
 //!
 //! That is a self-normalised sum: where no pose is preferred, each statement is as often positive as negative, and
 //! the sum then exceeds x with a probability of at most exp(-x^2 / 2), whatever the statements' sizes, their
 //! distributions and their number (Efron, "Student's t-test under symmetry conditions", 1969). No property of
-//! a sensor, of a density of returns or of a map enters.
+//! a sensor, of a density of returns or of a map enters. It holds for any odd function of the statements; their roots let
+//! many small objects outvote a large one, a lorry that parks where another one was mapped, and still count large ones
+//! for more than what is hardly seen.
 //!
 //! What is clutter and what stands differ by how often they were seen: a point counts by the logarithm of the
 //! number of its returns. Points where the map has not been, at either pose, say nothing.
@@ -131,8 +133,8 @@ impl Objects {
         }
         let (mut sum, mut squared, mut objects) = (0.0, 0.0, 0);
         for statement in self.statements.iter().map(|s| f64::from(*s)).filter(|s| *s != 0.0) {
-            sum += statement;
-            squared += statement * statement;
+            sum += statement.abs().sqrt().copysign(statement);
+            squared += statement.abs();
             objects += 1;
         }
         Preference {

@@ -199,7 +199,9 @@ impl Localization {
             Batch::organise(batch.scans.iter(), &batch.mounts, &batch.odometry, reference_time_us, &gate)
                 .map_err(|e| InvalidField::new("batch.odometry", e))?;
         organised.quality = batch.quality;
-        organised.findings.extend(batch.told.mostly_moving(organised.points.len() as u64));
+        let standing = organised.points.len() as u64;
+        let told = batch.told.mostly_moving(standing).or_else(|| batch.told.suspicion(standing));
+        organised.findings.extend(told);
         let decode::DecodedBatch { mounts, mount_sigmas, odometry, .. } = &batch;
         // A clock that is off as the batch itself shows is no better known than by how much it is off.
         let clock = clock_of_batch(batch.scans.iter(), mounts, odometry);

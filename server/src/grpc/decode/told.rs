@@ -33,6 +33,15 @@ impl Told {
         let of = moving.saturating_add(standing);
         (moving > standing).then_some(Finding::Moving { moving, of, sensor: None, suspects })
     }
+
+    /// The finding that a vehicle suspects its own data of another convention, where less was left out: of mirrored
+    /// azimuths many returns stand still by chance.
+    #[must_use]
+    pub fn suspicion(&self, standing: u64) -> Option<Finding> {
+        let (moving, suspects) = (self.dropped.moving, self.suspects.clone());
+        let of = moving.saturating_add(standing);
+        (!suspects.is_empty()).then_some(Finding::Moving { moving, of, sensor: None, suspects })
+    }
 }
 
 fn convention(named: v1::Convention) -> Option<Convention> {
@@ -63,5 +72,15 @@ mod tests {
         let finding = told.mostly_moving(7).unwrap();
         assert_eq!(finding.suspects(), [Convention::RadialSpeedKmh]);
         assert_eq!(Told::of(None, &[1; 1000]).mostly_moving(0), None);
+    }
+
+    /// Catches a suspicion that is forgotten where fewer than half were left out.
+    #[test]
+    fn a_suspicion_is_told_however_little_was_left_out() {
+        let dropped = Some(v1::DroppedDetections { moving: 40, ..v1::DroppedDetections::default() });
+        let told = Told::of(dropped, &[v1::Convention::AzimuthClockwise.into()]);
+        assert_eq!(told.mostly_moving(60), None);
+        assert_eq!(told.suspicion(60).unwrap().suspects(), [Convention::AzimuthClockwise]);
+        assert_eq!(Told::of(dropped, &[]).suspicion(60), None);
     }
 }
