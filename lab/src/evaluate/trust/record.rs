@@ -195,6 +195,11 @@ impl TrustRecord {
         self.along_m.hypot(self.cross_m)
     }
 
+    /// Horizontal level, metres.
+    pub fn level_m(&self) -> f64 {
+        self.level_along_m.hypot(self.level_cross_m)
+    }
+
     /// Usable, and off by more than a metre; or usable where there is nothing to be found.
     pub fn wrong(&self) -> bool {
         self.usable() && (!self.on_map || self.error_m() > WRONG_M)
