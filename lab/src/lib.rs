@@ -2,6 +2,7 @@
 //!
 //! - [`evaluate`]: the paper's experiments and further ones, in one process; this is `echofix evaluate`.
 //! - [`mod@bench`]: what a fix and an upload cost on this machine; this is `echofix bench`.
+//! - [`request`]: a vehicle's request, as the service takes it.
 //! - [`report`]: writes generated sections into the pages of `docs/benchmarks`.
 //! - [`machine`]: the machine that the figures were measured on.
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
@@ -10,3 +11,4 @@ pub mod bench;
 pub mod evaluate;
 mod machine;
 mod report;
+mod request;

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
-use echofix_core::align::Prior;
 use echofix_core::align::weights::TileWeights;
 use echofix_core::batch::Batch;
-use echofix_core::geo::{Grid, LatLon, TileId};
+use echofix_core::geo::{Grid, TileId};
 use echofix_core::point::MapPoint;
 use echofix_core::window::MapSquare;
 use echofix_proto::v1::LocalizeRequest;
@@ -23,6 +22,7 @@ use serde::Serialize;
 
 use super::case::Case;
 use super::town::{BenchTown, TRUSTING};
+use crate::request;
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::questions::DriveQuestions;
 
@@ -160,16 +160,9 @@ impl InProcessService {
     /// When the request is malformed or the map cannot be read.
     pub(super) fn case(&self, request: &LocalizeRequest) -> anyhow::Result<Case> {
         let batch = self.organised(&decode::batch(request.batch.clone(), "batch")?)?;
-        let believed = request.prior.clone().unwrap_or_default();
-        let pose = believed.pose.unwrap_or_default();
-        let at = LatLon { lat_deg: pose.latitude_deg, lon_deg: pose.longitude_deg };
-        let (grid, search) = (Grid::of(at)?, self.config.locating.search());
-        let prior = Prior {
-            pose: grid.pose_from_geodetic(at, pose.yaw_rad)?,
-            sigma_position_m: believed.sigma_position_m,
-            sigma_yaw_rad: believed.sigma_yaw_rad,
-            scale: grid.scale_factor(at)?,
-        };
+        let believed = request::believed(request);
+        let (grid, search) = (Grid::of(believed.at)?, self.config.locating.search());
+        let prior = request::prior_on(&grid, &believed)?;
         let reach_m = search.sigmas * prior.sigma_position_m;
         let square = MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m);
         let mut stored = BTreeMap::new();

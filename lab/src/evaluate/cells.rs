@@ -6,7 +6,7 @@ use super::record::EpochRecord;
 use super::statistics::bootstrap::{Estimate, fraction, percentiles};
 
 /// Fractions of the epochs that a percentile is given for.
-const FRACTIONS: [f64; 3] = [0.5, 0.95, 0.99];
+pub const FRACTIONS: [f64; 3] = [0.5, 0.95, 0.99];
 /// Batches that are this far apart have no scan in common, microseconds.
 const APART_US: i64 = 5_000_000;
 
@@ -51,7 +51,12 @@ pub fn ratio(estimate: &Estimate) -> String {
 
 /// `50 / 95 / 99` percentiles, the 95 % with its interval.
 pub fn cell(rows: &[&EpochRecord], quantity: Quantity, scale: f64, digits: usize) -> String {
-    match figures(rows, quantity).as_slice() {
+    percentiles_cell(&figures(rows, quantity), scale, digits)
+}
+
+/// Estimates of the `50 / 95 / 99` percentiles, the 95 % with its interval.
+pub fn percentiles_cell(figures: &[Estimate], scale: f64, digits: usize) -> String {
+    match figures {
         [p50, p95, p99] => {
             let bounds = bounds(p95, scale, digits);
             let [p50, p95, p99] = [p50, p95, p99].map(|p| scale * p.value);
@@ -82,14 +87,25 @@ pub fn bounds(estimate: &Estimate, scale: f64, digits: usize) -> String {
 ///
 /// If no row is a hit, the upper bound is the rule of three over the batches that have no scan in common.
 pub fn percent(rows: &[&EpochRecord], hit: impl Fn(&EpochRecord) -> bool) -> String {
-    let Some(mut found) = fraction(rows.iter().map(|row| (hit(row), cluster(row)))) else {
-        return "-".to_owned();
-    };
-    if found.value == 0.0 {
-        let apart: BTreeSet<_> = rows.iter().map(|row| (&row.world, row.time_us / APART_US)).collect();
-        (found.low, found.high) = (0.0, (3.0 / apart.len() as f64).min(1.0));
+    let apart: BTreeSet<_> = rows.iter().map(|row| (&row.world, row.time_us / APART_US)).collect();
+    let found = fraction(rows.iter().map(|row| (hit(row), cluster(row))));
+    percent_cell(found.map(|found| with_rule_of_three(found, apart.len())))
+}
+
+/// A fraction whose interval, if there was no hit, is that of the rule of three over so many independent trials.
+pub fn with_rule_of_three(found: Estimate, apart: usize) -> Estimate {
+    if found.value > 0.0 {
+        return found;
     }
-    format!("{:.1} %{}", 100.0 * found.value, bounds(&found, 100.0, 1))
+    Estimate { low: 0.0, high: (3.0 / apart as f64).min(1.0), ..found }
+}
+
+/// A fraction in percent with its interval; a dash without one.
+pub fn percent_cell(found: Option<Estimate>) -> String {
+    found.map_or_else(
+        || "-".to_owned(),
+        |found| format!("{:.1} %{}", 100.0 * found.value, bounds(&found, 100.0, 1)),
+    )
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@ use anyhow::{Context, bail};
 use super::about::{About, page, part, shared};
 use super::condition::{Condition, Experiment};
 use super::crowd::{CrowdSection, Scale};
+use super::fleet::options::FleetOptions;
+use super::fleet::{self, FleetPlan};
 use super::method::{MethodName, Windows};
 use super::record::EpochRecord;
 use super::run::{EvaluationPlan, run as ask_all};
@@ -33,9 +35,9 @@ pub struct Args {
     /// Number of these epochs at which all conditions are evaluated, and not only those of the headline.
     #[arg(long, default_value_t = 60)]
     swept_per_world: usize,
-    /// Time between epochs, seconds of driving.
-    #[arg(long, default_value_t = 1.0)]
-    every_s: f64,
+    /// Time between epochs, seconds of driving. Without it 1; of the drives of --drives the length of a batch.
+    #[arg(long)]
+    every_s: Option<f64>,
     /// Random priors at each epoch.
     #[arg(long, default_value_t = 1)]
     priors: usize,
@@ -52,10 +54,10 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
     crowds: Vec<usize>,
     /// Localize this drive log instead of simulated drives. Needs --map.
-    #[arg(long, requires = "map")]
+    #[arg(long, requires = "map", group = "logs")]
     drive: Option<PathBuf>,
-    /// Build the map from this drive log. Several may be given; they are added in this order.
-    #[arg(long, requires = "drive")]
+    /// Build the map from these drive logs. They are added in this order.
+    #[arg(long, value_name = "LOG", num_args = 1.., requires = "logs")]
     map: Vec<PathBuf>,
     /// Organise the batches of the log by its known poses, as the paper did, and not by its odometry.
     #[arg(long, requires = "drive")]
@@ -72,13 +74,15 @@ pub struct Args {
     /// Families of worlds to leave out of the experiment `trust`.
     #[arg(long, value_delimiter = ',', value_parser = trust::family)]
     without: Vec<Family>,
-    /// Write every fix to this CSV file; of the experiment `trust`, every question.
+    /// Write every fix to this CSV file; of the experiment `trust` and of --drives, every question.
     #[arg(long)]
     epochs: Option<PathBuf>,
     /// Also write tables and figures to docs/benchmarks in the repository at this path. Sections of other experiments stay
     /// as they are.
     #[arg(long, value_name = "FOLDER")]
     write: Option<PathBuf>,
+    #[command(flatten)]
+    fleet: FleetOptions,
 }
 
 /// Runs the subcommand.
@@ -136,6 +140,7 @@ fn of_the_crowd(args: &Args, experiments: &[Experiment], json: bool) -> anyhow::
     let scale = Scale { towns: args.world_seeds.clone(), quick: args.quick };
     let reports = experiments.iter().map(|experiment| match experiment {
         Experiment::Trust => trust::run(&trust_plan(args, json)?).map(Some),
+        Experiment::Drives => fleet::run(&fleet_plan(args, json)).map(Some),
         _ => crowd::run(*experiment, &scale),
     });
     Ok(reports.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
@@ -151,7 +156,26 @@ fn trust_plan(args: &Args, json: bool) -> anyhow::Result<TrustPlan> {
     })
 }
 
+/// What `--drives` plans.
+pub fn fleet_plan(args: &Args, json: bool) -> FleetPlan {
+    FleetPlan {
+        drives: args.fleet.drives.clone(),
+        map: args.map.clone(),
+        questions: args.fleet.questions(args.every_s, args.priors, args.seed),
+        risk: args.fleet.integrity_risk,
+        alert_limit_m: args.fleet.alert_limit_m,
+        max_sigma_m: args.max_sigma_m,
+        publish_contributors: args.fleet.publish_contributors,
+        windows_mib: args.windows_mib,
+        rows: args.epochs.clone(),
+        json,
+    }
+}
+
 fn experiments(args: &Args) -> Vec<Experiment> {
+    if !args.fleet.drives.is_empty() {
+        return vec![Experiment::Drives];
+    }
     let logs = args.drive.is_some();
     let chosen = if args.only.is_empty() { &Experiment::ALL[..] } else { &args.only };
     chosen.iter().copied().filter(|e| !(logs && e.scenes())).collect()
@@ -180,7 +204,7 @@ fn plan(args: &Args) -> EvaluationPlan {
         conditions.into_iter().flat_map(move |c| experiment.variants().iter().map(move |name| (*name, c)))
     };
     EvaluationPlan {
-        every_s: args.every_s,
+        every_s: args.every_s.unwrap_or(1.0),
         epochs,
         swept,
         base,

@@ -105,6 +105,9 @@ pub enum Experiment {
     Support,
     /// Whether answers may be believed, in families of worlds that nothing was tuned on.
     Trust,
+    /// The drive logs of `--drives`. No `--only` names it.
+    #[value(skip)]
+    Drives,
 }
 
 impl Experiment {
@@ -121,8 +124,8 @@ impl Experiment {
     ];
 
     /// Experiments with their own towns and maps. They run only when they are named.
-    pub const OF_THE_CROWD: [Self; 6] =
-        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support, Self::Trust];
+    pub const OF_THE_CROWD: [Self; 7] =
+        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support, Self::Trust, Self::Drives];
 
     /// Its name on the command line.
     pub fn word(self) -> &'static str {
@@ -141,6 +144,7 @@ impl Experiment {
             Self::Upload => "upload",
             Self::Support => "support",
             Self::Trust => "trust",
+            Self::Drives => "drives",
         }
     }
 
@@ -150,6 +154,7 @@ impl Experiment {
             Self::Localizability => "localizability.md",
             Self::Misses => "search.md",
             Self::Trust => "trust.md",
+            Self::Drives => "drives.md",
             Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
             Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => {
                 "paper.md"
@@ -179,9 +184,13 @@ impl Experiment {
             Self::Batch => base.batches(),
             Self::Drift => base.drifts(),
             Self::Crowd => base.crowds(crowds),
-            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support | Self::Trust => {
-                Vec::new()
-            }
+            Self::Year
+            | Self::Attacks
+            | Self::Vetting
+            | Self::Upload
+            | Self::Support
+            | Self::Trust
+            | Self::Drives => Vec::new(),
         }
     }
 }

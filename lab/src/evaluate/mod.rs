@@ -12,6 +12,7 @@
 //!   [`ablation`] and [`misses`] have their own files.
 //! - [`crowd`]: experiments with their own towns, vehicles and maps.
 //! - [`trust`]: whether answers may be believed in families of worlds that nothing was tuned on.
+//! - [`fleet`]: recorded drives, asked on maps of recorded drives.
 //! - [`about`]: how the figures were made; [`summary`]: the figures as JSON.
 //! - [`sanity`]: bounds that every sound run keeps.
 
@@ -22,6 +23,7 @@ pub mod command;
 mod condition;
 mod crowd;
 mod epoch;
+mod fleet;
 mod floor;
 mod groups;
 mod localizability;

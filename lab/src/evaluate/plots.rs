@@ -120,7 +120,7 @@ pub fn days(path: &Path, title: &str, curves: &[Curve]) -> anyhow::Result<()> {
     })
 }
 
-/// Side of a Stanford diagram's square, metres, and how many bins it has.
+/// Least side of a Stanford diagram's square, metres, and how many bins it has.
 const STANFORD: (f64, usize) = (2.0, 80);
 
 /// A Stanford diagram: counts of (error, protection level) pairs; what lies below the diagonal is
@@ -129,7 +129,8 @@ const STANFORD: (f64, usize) = (2.0, 80);
 /// # Errors
 /// When the file cannot be written.
 pub fn stanford(path: &Path, title: &str, pairs: &[(f64, f64)], alert_m: f64) -> anyhow::Result<()> {
-    let (most, bins) = STANFORD;
+    let (least, bins) = STANFORD;
+    let most = least.max(1.5 * alert_m);
     let bin = |v: f64| ((v / most * bins as f64) as usize).min(bins - 1);
     let mut counts = vec![0_u32; bins * bins];
     for (error, level) in pairs {

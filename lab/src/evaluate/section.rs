@@ -6,7 +6,6 @@ use super::condition::{Condition, Experiment};
 use super::plots::{self, Curve, Panel};
 use super::record::EpochRecord;
 use super::simulated::is_scene;
-use super::tables::ALERT_M;
 
 /// A part of the report.
 pub struct Section {
@@ -26,8 +25,8 @@ pub enum Figure {
     Ccdfs(Vec<Panel>),
     /// A title, and the receiver operating characteristics of detectors.
     Rocs(String, Vec<Curve>),
-    /// A title, and (error, protection level) pairs.
-    Stanford(String, Vec<(f64, f64)>),
+    /// A title, (error, protection level) pairs, and the alert limit, metres.
+    Stanford(String, Vec<(f64, f64)>, f64),
     /// A title, and errors over days.
     Days(String, Vec<Curve>),
 }
@@ -43,7 +42,7 @@ impl Section {
             match figure {
                 Figure::Ccdfs(panels) => plots::ccdfs(&path, panels)?,
                 Figure::Rocs(title, curves) => plots::rocs(&path, title, curves)?,
-                Figure::Stanford(title, pairs) => plots::stanford(&path, title, pairs, ALERT_M)?,
+                Figure::Stanford(title, pairs, alert_m) => plots::stanford(&path, title, pairs, *alert_m)?,
                 Figure::Days(title, curves) => plots::days(&path, title, curves)?,
             }
         }

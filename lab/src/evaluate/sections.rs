@@ -69,7 +69,10 @@ fn headline(rows: &[&EpochRecord], base: Condition) -> Section {
     let pairs = leveled.iter().filter(|r| r.usable).filter_map(|r| Some((r.error_m(), r.protection_m()?)));
     let figures = vec![
         ("ccdf-headline.svg", Figure::Ccdfs(panels("", &groups))),
-        ("stanford.svg", Figure::Stanford(format!("{name}: errors, levels"), pairs.collect())),
+        (
+            "stanford.svg",
+            Figure::Stanford(format!("{name}: errors, levels"), pairs.collect(), tables::ALERT_M),
+        ),
     ];
     Section { experiment: Experiment::Headline, text, figures, data: None }
 }

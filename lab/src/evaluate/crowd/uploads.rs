@@ -5,6 +5,7 @@ use echofix_core::datum::PoseSigma;
 use echofix_core::drive::segment::usable_segments;
 use echofix_core::drive::{Drive, GeoPose};
 use echofix_core::evidence::{EvidenceAccumulator, EvidenceDelta, Pass, SENT_STEPS};
+use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_core::geo::{Grid, Zone};
 use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
@@ -31,6 +32,8 @@ pub struct SentForm {
     pub contributor: u64,
     /// Largest standard deviation of a reference pose, metres. Less certain poses add nothing to an upload.
     pub max_sigma_m: f64,
+    /// Largest range of a detection, metres. Farther ones are dropped.
+    pub max_range_m: f64,
     /// Steps of a cell in which the positions of hits are sent.
     pub steps: u32,
 }
@@ -38,7 +41,7 @@ pub struct SentForm {
 impl SentForm {
     /// The uploads that vehicles send to the service.
     pub fn of(contributor: u64) -> Self {
-        Self { contributor, max_sigma_m: 0.3, steps: SENT_STEPS }
+        Self { contributor, max_sigma_m: 0.3, max_range_m: MAX_RANGE_M, steps: SENT_STEPS }
     }
 }
 
@@ -104,13 +107,13 @@ fn upload(
     drive: &Drive,
     scans: &[Scan],
     (poses, trajectory): (&[GeoPose], &Trajectory),
-    SentForm { contributor, steps, .. }: SentForm,
+    SentForm { contributor, max_range_m, steps, .. }: SentForm,
 ) -> anyhow::Result<Option<VehicleUpload>> {
     let at = |time_us: i64| scans.partition_point(|s| s.time_us < time_us);
     let (from, to) = (at(poses[0].time_us), at(poses[poses.len() - 1].time_us));
     let scale = grid.scale_factor(poses[0].at)?;
     // Movers are dropped already: odometry shows them better than absolute poses would.
-    let gate = Movers::Included.gate();
+    let gate = Gate { max_range_m, ..Movers::Included.gate() };
     let mut accumulator = EvidenceAccumulator::with_steps(steps);
     let (placed, _) =
         accumulator.add(grid.zone(), &scans[from..to], &drive.mounts, trajectory, scale, &gate)?;

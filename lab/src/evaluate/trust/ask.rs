@@ -1,16 +1,17 @@
 //! All questions of a world.
 
-use echofix_core::align::verdict::Integrity;
-use echofix_core::align::{Aligner, EngineKind, Search, Task};
+use echofix_core::align::Search;
 use echofix_core::batch::Batch;
 use echofix_core::gate::Gate;
 use echofix_core::pose::Pose2;
 use echofix_sim::Family;
 
+use super::answer::Answerer;
 use super::batch::{BatchForm, organised};
 use super::case::{Case, Place};
 use super::record::{Question, TrustRecord};
-use super::world::{AskingDrive, TrustWorld, is_beyond, square};
+use super::world::{AskingDrive, TrustWorld, is_beyond};
+use crate::evaluate::method::RISK;
 
 /// Seconds after the first scan before which nothing is asked: the longest batch.
 const WARM_UP_US: i64 = 8_000_000;
@@ -18,8 +19,6 @@ const WARM_UP_US: i64 = 8_000_000;
 const APART_US: i64 = 2_000_000;
 /// Least time of driving before a question, microseconds.
 const DRIVEN_US: i64 = 1_000_000;
-/// Batches with fewer points are refused by the service (`min_detections` of its configuration).
-const MIN_POINTS: usize = 50;
 /// How far before the end of the map, metres, and how far behind it questions are asked about it.
 const AROUND_END_M: (f64, f64) = (30.0, 90.0);
 
@@ -31,7 +30,8 @@ pub fn ask(family: Family, seed: u64, cases: &[Case], quick: bool) -> anyhow::Re
     let mut world = TrustWorld::new(&family.world(seed)?)?;
     let most = if quick { 6 } else { 20 };
     let times = Times::of(&world, most);
-    let mut asker = Asker { aligner: Aligner::default(), rows: Vec::new(), family, seed };
+    let answerer = Answerer::new(Search::default(), RISK);
+    let mut asker = Asker { answerer, rows: Vec::new(), family, seed };
     // Cases of one form share their batches.
     let mut forms: Vec<(Place, BatchForm)> = Vec::new();
     for case in cases {
@@ -105,7 +105,7 @@ fn thinned(times: Vec<i64>, most: usize) -> Vec<i64> {
 
 /// One thread's questions.
 struct Asker {
-    aligner: Aligner,
+    answerer: Answerer,
     rows: Vec<TrustRecord>,
     family: Family,
     seed: u64,
@@ -155,12 +155,11 @@ impl Asker {
     }
 
     fn ask_one(&mut self, world: &mut TrustWorld, case: &Case, batch: &Batch, asked: &Asked) {
-        let (search, integrity) = (Search::default(), Integrity::default());
         let Some(prior) = case.lie.drawn(&asked.believed, &world.known, world.scale, asked.seed) else {
             return;
         };
         let question = Question {
-            family: self.family,
+            family: self.family.word(),
             seed: self.seed,
             case,
             batch: asked.number,
@@ -171,22 +170,8 @@ impl Asker {
             prior,
             truth: asked.truth,
         };
-        if batch.points.len() < MIN_POINTS || batch.speed_mps < Gate::default().min_speed_mps {
-            self.rows.push(TrustRecord::refused(&question, "TOO_FEW_DETECTIONS"));
-            return;
-        }
-        let reach_m = search.sigmas * prior.sigma_position_m;
-        let square = square(&world.grid, &prior.pose, search.extent_m, reach_m);
         let map = if case.place == Place::MapEnds { &mut world.ending } else { &mut world.map };
-        let tiles = map.weights(square);
-        if tiles.is_empty() {
-            self.rows.push(TrustRecord::refused(&question, "NO_MAP"));
-            return;
-        }
-        let task = Task { square, tiles: &tiles, batch, prior: &prior };
-        let engine = EngineKind::default().engine();
-        let answer = self.aligner.align(&task, engine, &search, &integrity);
-        self.rows.push(TrustRecord::answered(&question, &answer, &integrity));
+        self.rows.push(self.answerer.answer(&question, batch, &world.grid, |square| map.weights(square)));
     }
 }
 

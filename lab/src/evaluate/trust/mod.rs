@@ -4,18 +4,20 @@
 //! a question can be bad.
 //!
 //! - [`case`]: the ways to ask. [`batch`]: what is wrong with a batch; [`prior`]: where a prior lies.
-//! - [`world`]: a family's world with its maps, its vehicle and the truth. [`ask`]: all questions of a world.
+//! - [`world`]: a family's world with its maps, its vehicle and the truth. [`ask`]: all questions of a world; [`answer`]:
+//!   their answers.
 //! - [`record`]: one question with all of its answer. [`tally`]: many of them. [`page`]: the tables.
 //! - [`bounds`]: what a quick run asserts.
 
+pub mod answer;
 mod ask;
-mod batch;
+pub mod batch;
 mod bounds;
-mod case;
-mod page;
-mod prior;
-mod record;
-mod tally;
+pub mod case;
+pub mod page;
+pub mod prior;
+pub mod record;
+pub mod tally;
 mod world;
 
 use std::path::PathBuf;

@@ -144,7 +144,8 @@ fn verdicts(tallies: &[CaseTally]) -> String {
     table(&["", "usable", "others"], tallies.iter().map(line))
 }
 
-fn other_verdicts(tally: &Tally) -> String {
+/// The verdicts but USABLE, the most frequent first.
+pub fn other_verdicts(tally: &Tally) -> String {
     let mut others: Vec<_> = tally.verdicts.iter().filter(|(verdict, _)| **verdict != USABLE).collect();
     others.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
     others.into_iter().map(|(verdict, count)| format!("{count} {verdict}")).collect::<Vec<_>>().join(", ")

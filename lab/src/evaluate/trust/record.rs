@@ -2,15 +2,13 @@
 
 use std::path::Path;
 
-use echofix_core::align::verdict::Integrity;
+use echofix_core::align::verdict::Protection;
 use echofix_core::align::{Alignment, Prior};
 use echofix_core::pose::{Pose2, wrap_angle};
 use echofix_server::locating::verdict_word;
-use echofix_sim::Family;
 use serde::Serialize;
 
 use super::case::Case;
-use crate::evaluate::method::RISK;
 use crate::evaluate::record::WRONG_M;
 
 /// The verdict of an answer that may be used.
@@ -18,9 +16,9 @@ pub const USABLE: &str = "USABLE";
 
 /// A question as it is asked.
 pub struct Question<'a> {
-    /// Family of the world.
-    pub family: Family,
-    /// Seed of the world.
+    /// Family of the world; of drive logs [`crate::evaluate::logged::LOG`].
+    pub family: &'static str,
+    /// Seed of the world, or number of the drive log.
     pub seed: u64,
     /// How it is asked.
     pub case: &'a Case,
@@ -43,11 +41,11 @@ pub struct Question<'a> {
 /// A row: what was asked, every field of the answer, and its error.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct TrustRecord {
-    /// Family of the world.
+    /// Family of the world; of drive logs [`crate::evaluate::logged::LOG`].
     pub family: &'static str,
-    /// Seed of the world.
+    /// Seed of the world, or number of the drive log.
     pub seed: u64,
-    /// How it was asked.
+    /// How it was asked, or the drive log's name.
     pub case: String,
     /// The number that varies among cases of one kind.
     pub k: f64,
@@ -130,10 +128,9 @@ impl TrustRecord {
         row
     }
 
-    /// A question with its answer. This function alone knows the answer's fields.
-    pub fn answered(question: &Question, answer: &Alignment, integrity: &Integrity) -> Self {
+    /// A question with its answer and the answer's levels. This function alone knows the answer's fields.
+    pub fn answered(question: &Question, answer: &Alignment, levels: &Protection) -> Self {
         let error = question.error(&answer.pose);
-        let levels = answer.protection(integrity, RISK);
         let [along, cross, yaw] = variances(answer);
         let Pose2 { x_m, y_m, yaw_rad } = answer.correction;
         let [[xx, xy, xt], [_, yy, yt], [_, _, tt]] = answer.covariance;
@@ -170,7 +167,7 @@ impl TrustRecord {
         let Question { case, .. } = question;
         let off = question.error(&question.prior.pose);
         Self {
-            family: question.family.word(),
+            family: question.family,
             seed: question.seed,
             case: case.name.clone(),
             k: case.k,
@@ -196,6 +193,11 @@ impl TrustRecord {
     /// Horizontal error, metres.
     pub fn error_m(&self) -> f64 {
         self.along_m.hypot(self.cross_m)
+    }
+
+    /// Horizontal level, metres.
+    pub fn level_m(&self) -> f64 {
+        self.level_along_m.hypot(self.level_cross_m)
     }
 
     /// Usable, and off by more than a metre; or usable where there is nothing to be found.
