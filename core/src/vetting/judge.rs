@@ -29,7 +29,8 @@ pub struct VettingLimits {
     pub min_coverage: f64,
     /// The same, for the part to be judged wrong.
     pub known_coverage: f64,
-    /// Score relative to a random shift's, below which a part matches nowhere.
+    /// Score relative to a random shift's, below which a part matches nowhere, unless where it was expected is distinctly
+    /// the best of all that is searched.
     pub min_contrast: f64,
     /// How parts are made and matched.
     pub matching: MatchingLimits,
@@ -225,13 +226,17 @@ fn part_verdict(at: &PartMatch, doubt: &Doubt, limits: &VettingLimits) -> PartVe
         turn: error.yaw_rad.abs() / limits.yaw_rad / turn,
     };
     let held = at.covariance.iter().all(|v| v.is_finite());
-    let fits = held && at.contrast >= limits.min_contrast;
+    // Where much clutter was mapped, a random shift scores high, too, and the contrast says little. But of all that is
+    // searched, by chance the distinctly best hardly ever lies where it was expected.
+    let at_home = !doubt.of_before && excess.is_allowed() && at.margin >= limits.matching.min_margin;
+    let matches = at.contrast >= limits.min_contrast || at_home;
+    let fits = held && matches;
     let here = PartVerdict::Found { error, excess };
     let known = at.coverage >= limits.known_coverage;
     if excess.is_allowed() {
         return match (fits, known) {
             (true, _) if at.coverage >= limits.min_coverage => here,
-            (false, true) if at.contrast < limits.min_contrast => PartVerdict::Lost,
+            (false, true) if !matches => PartVerdict::Lost,
             _ => PartVerdict::None,
         };
     }

@@ -44,10 +44,15 @@ fn street(seed: u64, cars: u64) -> Vec<[f64; 2]> {
 
 /// What a vehicle sees of points, with noise and clutter, and with a pose that is off.
 fn seen(points: &[[f64; 2]], off: Pose2, noise: u64) -> Cells {
+    seen_among(900, points, off, noise)
+}
+
+/// The same among so many returns of clutter.
+fn seen_among(clutter: usize, points: &[[f64; 2]], off: Pose2, noise: u64) -> Cells {
     let mut rng = ChaCha8Rng::seed_from_u64(noise);
     let mut tiles: BTreeMap<TileId, BTreeMap<u32, CellHits>> = BTreeMap::new();
     let clutter: Vec<[f64; 2]> =
-        (0..900).map(|_| [rng.random_range(-60.0..60.0), rng.random_range(-20.0..20.0)]).collect();
+        (0..clutter).map(|_| [rng.random_range(-60.0..60.0), rng.random_range(-20.0..20.0)]).collect();
     for [x, y] in points.iter().chain(points).chain(points).chain(&clutter) {
         let noisy = [x + rng.random_range(-0.3..0.3), y + rng.random_range(-0.3..0.3)];
         let [x, y] = off.transform(noisy);
@@ -159,6 +164,20 @@ fn another_street_disagrees_and_an_empty_map_says_nothing() {
     let empty = Map { tiles: BTreeMap::new(), datum: Datum::default() };
     let Vetted::New(offsets) = vetted(&upload, &empty) else { panic!("an empty map cannot disagree") };
     assert_eq!(offsets.at(MIDDLE), Pose2::IDENTITY);
+}
+
+/// Catches: honest uploads that are kept out where a radar sees much clutter, and there is never a map; and one of another street
+/// that hides in it.
+#[test]
+fn an_honest_upload_agrees_among_clutter_and_another_street_does_not() {
+    let among = |points: &[[f64; 2]], off, noise| seen_among(12_000, points, off, noise);
+    let map = Map::of(&among(&street(1, 1), Pose2::IDENTITY, 1), Offset::default());
+    let by = agreed(&vetted(&among(&street(1, 77), Pose2::new(0.1, 0.1, 0.0), 2), &map));
+    assert!((by.x_m + 0.1).hypot(by.y_m + 0.1) < 0.1, "{by:?}");
+    for other in 2..8 {
+        let found = vetted(&among(&street(other, other), Pose2::IDENTITY, 10 + other), &map);
+        assert!(!matches!(found, Vetted::Agrees(_)), "street {other}: {found:?}");
+    }
 }
 
 /// Catches: a fraction of matched returns as the criterion, which changes in a street would lower.
