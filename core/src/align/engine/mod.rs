@@ -16,6 +16,7 @@ mod fast;
 mod fft;
 mod question;
 mod reference;
+mod scan;
 mod stepped;
 mod workspace;
 

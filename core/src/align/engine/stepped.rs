@@ -5,19 +5,12 @@
 
 use std::cmp::Reverse;
 
-use super::question::mean_weight;
+use super::scan::{Around, Scan, halved, width};
 use super::{Candidate, Engine, EngineWorkspace, SearchQuestion};
-use crate::align::simd::{Isa, Strips};
+use crate::align::simd::Isa;
 use crate::align::view::ImageView;
 use crate::geo::CELL_M;
-use crate::point::WeightedPoint;
-use crate::pose::Pose2;
 
-/// Shifts to a strip where all are scanned: the bytes of a 256-bit register. It changes the time, not the
-/// answer.
-const WIDE: usize = 32;
-/// Shifts to a strip around a candidate: the least power of two that holds the 11 of [`FINE`].
-const NARROW: usize = 16;
 /// Points that a scan of all hypotheses counts, at most, or little more. A scan's time is in proportion; a
 /// batch of a town has some 3200 points, so it counts every fifth. What that costs is the miss rate.
 const SCANNED: usize = 600;
@@ -40,7 +33,7 @@ const COARSE: Around = Around { pixels: 3, turns: 2, step: 2 };
 /// reach its border and three more into its neighbours. Turns were scanned by two steps: one on either side
 /// is what was left out.
 const FINE: Around = Around { pixels: 5, turns: 1, step: 1 };
-const _: () = assert!(2 * FINE.pixels < NARROW && 2 * COARSE.pixels < NARROW);
+const _: () = assert!(FINE.fits() && COARSE.fits());
 
 /// The engine.
 #[derive(Debug, Clone, Copy, Default)]
@@ -48,22 +41,11 @@ pub struct Stepped {
     isa: Option<Isa>,
 }
 
-/// Buffers, and the instruction set they are filled with.
+/// Its buffers.
 #[derive(Default)]
 struct SteppedBuffers {
-    isa: Isa,
-    pixels: Vec<u32>,
-    sums: Vec<[u32; WIDE]>,
-    /// For each shift of a scan the best sum and its turn, fine steps.
-    best: Vec<(u32, i32)>,
+    scan: Scan,
     coarser: Vec<u8>,
-}
-
-/// A search around a candidate: half widths in pixels and turns, and the step of a turn in fine steps.
-struct Around {
-    pixels: usize,
-    turns: i32,
-    step: i32,
 }
 
 impl Stepped {
@@ -89,7 +71,7 @@ impl Engine for Stepped {
         candidates: &mut [Vec<Candidate>],
     ) {
         let buffers = workspace.buffers::<SteppedBuffers>();
-        buffers.isa = self.isa.unwrap_or_default();
+        buffers.scan.isa = self.isa.unwrap_or_default();
         for (question, candidates) in questions.iter().zip(candidates) {
             buffers.search(question, candidates);
         }
@@ -99,159 +81,55 @@ impl Engine for Stepped {
 impl SteppedBuffers {
     fn search(&mut self, question: &SearchQuestion, candidates: &mut Vec<Candidate>) {
         let coarse = question.view.coarse();
-        let shifts = 2 * question.lattice.lag.div_ceil(coarse.cells) + 1;
-        if shifts * shifts * question.lattice.headings() > MANY {
-            let mut image = std::mem::take(&mut self.coarser);
-            let coarser = halved(&coarse, &mut image);
-            self.scan(question, &coarser, 4);
-            self.highest(question, &coarser, FROM_COARSER, candidates);
-            self.sharpen(question, &coarse, &COARSE, candidates);
-            self.coarser = image;
+        let count = question.thinned.len();
+        self.scan.take_points(question, (count / SCANNED).max(1));
+        let sharpened = count.div_ceil(SHARPENED).max(1);
+        if width(question, &coarse).pow(2) * question.lattice.headings() > MANY {
+            let coarser = halved(&coarse, &mut self.coarser);
+            self.scan.scan(question, &coarser, 4);
+            highest(&mut self.scan, question, &coarser, FROM_COARSER, candidates);
+            self.scan.take_points(question, sharpened);
+            self.scan.sharpen(question, &coarse, &COARSE, candidates);
         } else {
-            self.scan(question, &coarse, 2);
-            self.highest(question, &coarse, question.search.candidates, candidates);
+            self.scan.scan(question, &coarse, 2);
+            highest(&mut self.scan, question, &coarse, question.search.candidates, candidates);
+            self.scan.take_points(question, sharpened);
         }
-        self.sharpen(question, &question.view.fine(), &FINE, candidates);
+        self.scan.sharpen(question, &question.view.fine(), &FINE, candidates);
         candidates.truncate(question.search.candidates);
-    }
-
-    /// Sums of an image for every shift of its pixels and every `step`th turn, reduced to the best
-    /// turn.
-    fn scan(&mut self, question: &SearchQuestion, image: &ImageView, step: usize) {
-        let lag = question.lattice.lag.div_ceil(image.cells);
-        let width = 2 * lag + 1;
-        let turns = question.lattice.turns.div_ceil(step) as i32;
-        self.best.clear();
-        self.best.resize(width * width, (0, 0));
-        self.sums.resize(width, [0; WIDE]);
-        let strips = Strips::<WIDE> { image: image.weights, stride: image.side, rows: width };
-        let stride = (question.thinned.len() / SCANNED).max(1);
-        for turn in -turns..=turns {
-            let turn = turn * step as i32;
-            let at = Pose2::new(0.0, 0.0, f64::from(turn) * question.lattice.yaw_step_rad);
-            let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
-            question.projection(image, lag).pixel_indices(self.isa, at, points, &mut self.pixels);
-            for first in (0..width).step_by(WIDE) {
-                self.sums.fill([0; WIDE]);
-                strips.add(self.isa, &self.pixels, &mut self.sums);
-                let columns = WIDE.min(width - first);
-                for (row, sums) in self.sums.iter().enumerate() {
-                    let from = row * width + first;
-                    for (best, sum) in self.best[from..from + columns].iter_mut().zip(sums) {
-                        if *sum > best.0 {
-                            *best = (*sum, turn);
-                        }
-                    }
-                }
-                self.pixels.iter_mut().for_each(|pixel| *pixel += WIDE as u32);
-            }
-        }
-    }
-
-    /// The highest shifts of the last scan, none within the separation of a higher one. Their scores are
-    /// those of the search around them, which follows.
-    fn highest(
-        &mut self,
-        question: &SearchQuestion,
-        image: &ImageView,
-        most: usize,
-        candidates: &mut Vec<Candidate>,
-    ) {
-        let lag = question.lattice.lag.div_ceil(image.cells);
-        let width = 2 * lag + 1;
-        let pixel_m = image.cells as f64 * CELL_M;
-        let separation = (question.search.separation_m / pixel_m).powi(2);
-        candidates.clear();
-        while candidates.len() < most {
-            let top = self.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, Reverse(*i)));
-            let Some((index, &(_, turn))) = top.filter(|(_, (sum, _))| *sum > 0) else { break };
-            let (row, column) = (index / width, index % width);
-            self.clear_around(row, column, width, separation);
-            let shift = |i: usize| (i as f64 - lag as f64) * pixel_m;
-            let yaw_rad = f64::from(turn) * question.lattice.yaw_step_rad;
-            let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
-            let correction = Pose2::new(shift(column), shift(row), yaw_rad);
-            candidates.push(Candidate { correction, score: 0.0, at_edge });
-        }
-    }
-
-    /// Forgets the shifts within the separation of one; `separation` is its square, pixels.
-    fn clear_around(&mut self, row: usize, column: usize, width: usize, separation: f64) {
-        let reach = separation.sqrt().ceil() as usize;
-        for other_row in row.saturating_sub(reach)..(row + reach + 1).min(width) {
-            for other_column in column.saturating_sub(reach)..(column + reach + 1).min(width) {
-                let (dr, dc) = (other_row.abs_diff(row), other_column.abs_diff(column));
-                if ((dr * dr + dc * dc) as f64) < separation {
-                    self.best[other_row * width + other_column].0 = 0;
-                }
-            }
-        }
-    }
-
-    /// Moves candidates to the best hypotheses around them on a finer image, and sorts them.
-    fn sharpen(
-        &mut self,
-        question: &SearchQuestion,
-        image: &ImageView,
-        around: &Around,
-        candidates: &mut [Candidate],
-    ) {
-        for candidate in candidates.iter_mut() {
-            self.sharpen_one(question, image, around, candidate);
-        }
-        candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
-    }
-
-    fn sharpen_one(
-        &mut self,
-        question: &SearchQuestion,
-        image: &ImageView,
-        around: &Around,
-        candidate: &mut Candidate,
-    ) {
-        let width = 2 * around.pixels + 1;
-        let strips = Strips::<NARROW> { image: image.weights, stride: image.side, rows: width };
-        let (from, yaw_step) = (candidate.correction, question.lattice.yaw_step_rad);
-        let pixel_m = image.cells as f64 * CELL_M;
-        let turn = (from.yaw_rad / yaw_step).round() as i32;
-        let stride = question.thinned.len().div_ceil(SHARPENED).max(1);
-        let points = question.thinned.iter().step_by(stride).map(WeightedPoint::position);
-        let mut sums = [[0_u32; NARROW]; NARROW];
-        let mut highest = 0;
-        for turn in (-around.turns..=around.turns).map(|i| turn + i * around.step) {
-            let at = Pose2::new(from.x_m, from.y_m, f64::from(turn) * yaw_step);
-            let projection = question.projection(image, around.pixels);
-            projection.pixel_indices(self.isa, at, points.clone(), &mut self.pixels);
-            sums.fill([0; NARROW]);
-            strips.add(self.isa, &self.pixels, &mut sums[..width]);
-            for (row, sums) in sums[..width].iter().enumerate() {
-                for (column, sum) in sums[..width].iter().enumerate() {
-                    if *sum > highest {
-                        let shift = |i: usize| (i as f64 - around.pixels as f64) * pixel_m;
-                        let yaw_rad = f64::from(turn) * yaw_step;
-                        candidate.correction =
-                            Pose2::new(from.x_m + shift(column), from.y_m + shift(row), yaw_rad);
-                        highest = *sum;
-                    }
-                }
-            }
-        }
-        candidate.score = mean_weight(highest, points.len());
     }
 }
 
-/// An image with pixels twice as wide: means of 2 x 2, rounded up.
-fn halved<'a>(image: &ImageView, out: &'a mut Vec<u8>) -> ImageView<'a> {
-    let side = image.side / 2;
-    out.clear();
-    out.resize(side * side + 2 * WIDE, 0);
-    for y in 0..side {
-        for x in 0..side {
-            let at = 2 * y * image.side + 2 * x;
-            let four = [at, at + 1, at + image.side, at + image.side + 1];
-            let sum: u16 = four.iter().map(|i| u16::from(image.weights[*i])).sum();
-            out[y * side + x] = sum.div_ceil(4) as u8;
+/// The highest shifts of the last scan, none within the separation of a higher one, which are forgotten.
+fn highest(
+    scan: &mut Scan,
+    question: &SearchQuestion,
+    image: &ImageView,
+    most: usize,
+    candidates: &mut Vec<Candidate>,
+) {
+    let width = width(question, image);
+    let pixel_m = image.cells as f64 * CELL_M;
+    let separation = (question.search.separation_m / pixel_m).powi(2);
+    candidates.clear();
+    while candidates.len() < most {
+        let top = scan.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, Reverse(*i)));
+        let Some((index, _)) = top.filter(|(_, (sum, _))| *sum > 0) else { break };
+        candidates.push(scan.candidate(question, image, index));
+        clear_around(&mut scan.best, index, width, separation);
+    }
+}
+
+/// Forgets the shifts within the separation of one; `separation` is its square, pixels.
+fn clear_around(best: &mut [(u32, i32)], index: usize, width: usize, separation: f64) {
+    let (row, column) = (index / width, index % width);
+    let reach = separation.sqrt().ceil() as usize;
+    for other_row in row.saturating_sub(reach)..(row + reach + 1).min(width) {
+        for other_column in column.saturating_sub(reach)..(column + reach + 1).min(width) {
+            let (dr, dc) = (other_row.abs_diff(row), other_column.abs_diff(column));
+            if ((dr * dr + dc * dc) as f64) < separation {
+                best[other_row * width + other_column].0 = 0;
+            }
         }
     }
-    ImageView { square: image.square, cells: 2 * image.cells, side, weights: out }
 }
