@@ -118,25 +118,17 @@ impl<'a> ScoreField<'a> {
         scale: f64,
         out: &mut Vec<f32>,
     ) {
-        let per_metre = 1.0 / CELL_M;
-        let x0 = ((pose.x_m - self.corner.x_m) * per_metre) as f32;
-        let y0 = ((pose.y_m - self.corner.y_m) * per_metre) as f32;
-        let (s, c) = pose.yaw_rad.sin_cos();
-        let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
-        let inside = 0.0..self.side as f32;
         let known_side = self.side / KNOWN;
         out.clear();
-        out.extend(points.map(|WeightedPoint { x_m: px, y_m: py, .. }| {
-            let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
-            if !(inside.contains(&x) && inside.contains(&y)) {
-                return UNKNOWN;
-            }
-            let (column, row) = (x as usize, y as usize);
-            match self.known.get(row / KNOWN * known_side + column / KNOWN) {
-                Some(1) => f32::from(self.weights[row * self.side + column]),
-                _ => UNKNOWN,
-            }
-        }));
+        self.nearest(points, pose, scale, |cells| {
+            // Without a branch on where the map has been, which cannot be predicted.
+            out.extend(cells.iter().map(|&NearestCell { column, row, inside }| {
+                let [column, row] = [column, row].map(|i| i as usize);
+                let known = self.known.get(row / KNOWN * known_side + column / KNOWN).copied();
+                let weight = f32::from(self.weights[row * self.side + column]);
+                if inside & (known.unwrap_or(0) == 1) { weight } else { UNKNOWN }
+            }));
+        });
     }
 
     /// Only the score, each point at its nearest cell: for comparing far poses.
@@ -147,20 +139,76 @@ impl<'a> ScoreField<'a> {
         pose: &Pose2,
         scale: f64,
     ) -> f64 {
+        let mut sum = 0_u32;
+        self.nearest(points.into_iter(), pose, scale, |cells| {
+            for &NearestCell { column, row, inside } in cells {
+                let weight = self.weights[row as usize * self.side + column as usize];
+                sum += if inside { u32::from(weight) } else { 0 };
+            }
+        });
+        f64::from(sum) / f64::from(STEPS)
+    }
+
+    /// Calls with the points' nearest cells, some at a time, in the points' order.
+    fn nearest<'p>(
+        &self,
+        points: impl Iterator<Item = &'p WeightedPoint>,
+        pose: &Pose2,
+        scale: f64,
+        each: impl FnMut(&[NearestCell]),
+    ) {
         let per_metre = 1.0 / CELL_M;
         let x0 = ((pose.x_m - self.corner.x_m) * per_metre) as f32;
         let y0 = ((pose.y_m - self.corner.y_m) * per_metre) as f32;
         let (s, c) = pose.yaw_rad.sin_cos();
         let (s, c) = ((s * scale * per_metre) as f32, (c * scale * per_metre) as f32);
-        let inside = 0.0..self.side as f32;
-        let mut sum = 0_u32;
-        for WeightedPoint { x_m: px, y_m: py, .. } in points {
-            let (x, y) = (x0 + c * px - s * py, y0 + s * px + c * py);
-            if inside.contains(&x) && inside.contains(&y) {
-                sum += u32::from(self.weights[y as usize * self.side + x as usize]);
+        Isa::best().run(NearestCells { points, from: [x0, y0], turn: [s, c], side: self.side as f32, each });
+    }
+}
+
+/// The cell of the image that a point lies in; the first one for a point beyond the image.
+#[derive(Clone, Copy, Default)]
+struct NearestCell {
+    column: u32,
+    row: u32,
+    inside: bool,
+}
+
+/// Points whose nearest cells are asked for; otherwise as [`Sums`].
+struct NearestCells<P, E> {
+    points: P,
+    from: [f32; 2],
+    turn: [f32; 2],
+    side: f32,
+    each: E,
+}
+
+impl<'p, P: Iterator<Item = &'p WeightedPoint>, E: FnMut(&[NearestCell])> Kernel for NearestCells<P, E> {
+    type Out = ();
+
+    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+    #[inline(always)]
+    fn run(mut self) {
+        let ([x0, y0], [s, c]) = (self.from, self.turn);
+        loop {
+            // Side by side, so that the loop between the others is vectorised.
+            let (mut px, mut py, mut count) = ([0.0_f32; LANES], [0.0_f32; LANES], 0);
+            for ((x, y), point) in px.iter_mut().zip(&mut py).zip(self.points.by_ref()) {
+                (*x, *y) = (point.x_m, point.y_m);
+                count += 1;
+            }
+            let mut cells = [NearestCell::default(); LANES];
+            for (i, cell) in cells.iter_mut().enumerate() {
+                let (x, y) = (x0 + c * px[i] - s * py[i], y0 + s * px[i] + c * py[i]);
+                let inside = x >= 0.0 && y >= 0.0 && x < self.side && y < self.side;
+                let index = |v: f32| if inside { v as i32 as u32 } else { 0 };
+                *cell = NearestCell { column: index(x), row: index(y), inside };
+            }
+            (self.each)(&cells[..count]);
+            if count < LANES {
+                break;
             }
         }
-        f64::from(sum) / f64::from(STEPS)
     }
 }
 

@@ -70,6 +70,8 @@ struct FastBuffers {
     scan: Scan,
     /// Indices of hills among the shifts of the last scan.
     hills: Vec<usize>,
+    /// The highest sum of each shift of the last scan and its neighbours in its row.
+    row_highest: Vec<u32>,
     coarser: Vec<u8>,
 }
 
@@ -144,7 +146,8 @@ impl FastBuffers {
 
     /// Takes so many points of the batch, evenly spread, or a few more.
     fn take_points(&mut self, question: &SearchQuestion, most: usize) {
-        self.scan.take_points(question, (question.thinned.len() / most).max(1));
+        let stride = (question.thinned.len() / most).max(1);
+        self.scan.take(question.thinned.iter().step_by(stride));
     }
 
     /// The highest hills of the last scan, none within the separation of a higher one.
@@ -170,22 +173,25 @@ impl FastBuffers {
 
     /// Shifts of the last scan that no neighbour exceeds, the highest first.
     fn find_hills(&mut self, width: usize) {
-        let Self { scan: Scan { best, .. }, hills, .. } = self;
+        let Self { scan: Scan { best, .. }, hills, row_highest, .. } = self;
+        row_highest.clear();
+        for row in best.chunks_exact(width) {
+            let beside = |x: usize| row[x.saturating_sub(1)].max(row[(x + 1).min(width - 1)]);
+            row_highest.extend((0..width).map(|x| row[x].max(beside(x))));
+        }
         hills.clear();
+        let row_highest = |row: usize| &row_highest[row * width..(row + 1) * width];
         for (row, sums) in best.chunks_exact(width).enumerate() {
-            for (column, (sum, _)) in sums.iter().enumerate() {
-                let rows = row.saturating_sub(1)..(row + 2).min(width);
-                let columns = column.saturating_sub(1)..(column + 2).min(width);
-                let exceeded = || {
-                    rows.clone()
-                        .any(|y| best[y * width..][columns.clone()].iter().any(|(other, _)| other > sum))
-                };
-                if *sum > 0 && !exceeded() {
+            let [south, here, north] =
+                [row.saturating_sub(1), row, (row + 1).min(width - 1)].map(row_highest);
+            for column in 0..width {
+                let highest = south[column].max(here[column]).max(north[column]);
+                if sums[column] > 0 && sums[column] == highest {
                     hills.push(row * width + column);
                 }
             }
         }
-        hills.sort_unstable_by_key(|index| (Reverse(best[*index].0), *index));
+        hills.sort_unstable_by_key(|index| (Reverse(best[*index]), *index));
     }
 
     /// Moves candidates to the best hypotheses around them on a finer image, counting so many points, and sorts them.
@@ -213,8 +219,7 @@ impl FastBuffers {
 
 /// True when a candidate is none of some others: it lies at least the separation from each.
 fn is_apart(question: &SearchQuestion, candidate: &Candidate, others: &[Candidate]) -> bool {
-    let near = |other: &Candidate| {
-        other.correction.distance_m(&candidate.correction) < question.search.separation_m
-    };
+    let near =
+        |other: &Candidate| other.correction.distance_m(&candidate.correction) < question.search.separation_m;
     !others.iter().any(near)
 }

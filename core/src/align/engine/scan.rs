@@ -67,8 +67,10 @@ impl Around {
 pub(super) struct Scan {
     pub isa: Isa,
     pub counting: Counting,
-    /// For each shift of the last scan the best sum and its turn, fine steps.
-    pub best: Vec<(u32, i32)>,
+    /// For each shift of the last scan the best sum.
+    pub best: Vec<u32>,
+    /// Its turn, fine steps.
+    turns: Vec<i32>,
     /// The points that are counted.
     points: Vec<BodyPoint>,
     pixels: Vec<u32>,
@@ -76,10 +78,10 @@ pub(super) struct Scan {
 }
 
 impl Scan {
-    /// Takes every `stride`th point of the batch to be counted.
-    pub fn take_points(&mut self, question: &SearchQuestion, stride: usize) {
+    /// Takes points to be counted.
+    pub fn take<'p>(&mut self, points: impl Iterator<Item = &'p WeightedPoint>) {
         self.points.clear();
-        self.points.extend(question.thinned.iter().step_by(stride).map(WeightedPoint::position));
+        self.points.extend(points.map(WeightedPoint::position));
     }
 
     /// Sums of an image for every shift of its pixels and every `step`th turn, reduced to the best
@@ -88,7 +90,9 @@ impl Scan {
         let width = width(question, image);
         let turns = question.lattice.turns.div_ceil(step) as i32;
         self.best.clear();
-        self.best.resize(width * width, (0, 0));
+        self.best.resize(width * width, 0);
+        self.turns.clear();
+        self.turns.resize(width * width, 0);
         self.sums.resize(width, [0; WIDE]);
         let strips = Strips::<WIDE> { image: image.weights, stride: image.side, rows: width };
         for turn in -turns..=turns {
@@ -102,11 +106,11 @@ impl Scan {
                 self.counting.add(&strips, self.isa, &self.pixels, &mut self.sums);
                 let columns = WIDE.min(width - first);
                 for (row, sums) in self.sums.iter().enumerate() {
-                    let from = row * width + first;
-                    for (best, sum) in self.best[from..from + columns].iter_mut().zip(sums) {
-                        if *sum > best.0 {
-                            *best = (*sum, turn);
-                        }
+                    let here = row * width + first..row * width + first + columns;
+                    let best = self.best[here.clone()].iter_mut().zip(&mut self.turns[here]);
+                    for ((best, best_turn), sum) in best.zip(sums) {
+                        *best_turn = if *sum > *best { turn } else { *best_turn };
+                        *best = (*best).max(*sum);
                     }
                 }
                 self.pixels.iter_mut().for_each(|pixel| *pixel += WIDE as u32);
@@ -120,7 +124,7 @@ impl Scan {
         let pixel_m = image.cells as f64 * CELL_M;
         let shift = |i: usize| (i as f64 - lag as f64) * pixel_m;
         let (row, column) = (index / width, index % width);
-        let yaw_rad = f64::from(self.best[index].1) * question.lattice.yaw_step_rad;
+        let yaw_rad = f64::from(self.turns[index]) * question.lattice.yaw_step_rad;
         let correction = Pose2::new(shift(column), shift(row), yaw_rad);
         let at_edge = lag > 0 && [row, column].iter().any(|i| *i == 0 || *i == 2 * lag);
         Candidate { correction, score: 0.0, at_edge }
@@ -191,12 +195,13 @@ pub(super) fn halved<'a>(image: &ImageView, out: &'a mut Vec<u8>) -> ImageView<'
     let side = image.side / 2;
     out.clear();
     out.resize(side * side + 2 * WIDE, 0);
-    for y in 0..side {
-        for x in 0..side {
-            let at = 2 * y * image.side + 2 * x;
-            let four = [at, at + 1, at + image.side, at + image.side + 1];
-            let sum: u16 = four.iter().map(|i| u16::from(image.weights[*i])).sum();
-            out[y * side + x] = sum.div_ceil(4) as u8;
+    let (rows, _) = out.split_at_mut(side * side);
+    for (row, two) in rows.chunks_exact_mut(side).zip(image.weights.chunks_exact(2 * image.side)) {
+        let (south, north) = two.split_at(image.side);
+        let (south, north) = (south.as_chunks().0, north.as_chunks().0);
+        for ((mean, [a, b]), [c, d]) in row.iter_mut().zip(south).zip(north) {
+            let sum: u16 = [a, b, c, d].into_iter().copied().map(u16::from).sum();
+            *mean = sum.div_ceil(4) as u8;
         }
     }
     ImageView { square: image.square, cells: 2 * image.cells, side, weights: out }

@@ -82,18 +82,18 @@ impl SteppedBuffers {
     fn search(&mut self, question: &SearchQuestion, candidates: &mut Vec<Candidate>) {
         let coarse = question.view.coarse();
         let count = question.thinned.len();
-        self.scan.take_points(question, (count / SCANNED).max(1));
-        let sharpened = count.div_ceil(SHARPENED).max(1);
+        let every = |stride: usize| question.thinned.iter().step_by(stride.max(1));
+        self.scan.take(every(count / SCANNED));
         if width(question, &coarse).pow(2) * question.lattice.headings() > MANY {
             let coarser = halved(&coarse, &mut self.coarser);
             self.scan.scan(question, &coarser, 4);
             highest(&mut self.scan, question, &coarser, FROM_COARSER, candidates);
-            self.scan.take_points(question, sharpened);
+            self.scan.take(every(count.div_ceil(SHARPENED)));
             self.scan.sharpen(question, &coarse, &COARSE, candidates);
         } else {
             self.scan.scan(question, &coarse, 2);
             highest(&mut self.scan, question, &coarse, question.search.candidates, candidates);
-            self.scan.take_points(question, sharpened);
+            self.scan.take(every(count.div_ceil(SHARPENED)));
         }
         self.scan.sharpen(question, &question.view.fine(), &FINE, candidates);
         candidates.truncate(question.search.candidates);
@@ -113,22 +113,22 @@ fn highest(
     let separation = (question.search.separation_m / pixel_m).powi(2);
     candidates.clear();
     while candidates.len() < most {
-        let top = scan.best.iter().enumerate().max_by_key(|(i, (sum, _))| (*sum, Reverse(*i)));
-        let Some((index, _)) = top.filter(|(_, (sum, _))| *sum > 0) else { break };
+        let top = scan.best.iter().enumerate().max_by_key(|(i, sum)| (**sum, Reverse(*i)));
+        let Some((index, _)) = top.filter(|(_, sum)| **sum > 0) else { break };
         candidates.push(scan.candidate(question, image, index));
         clear_around(&mut scan.best, index, width, separation);
     }
 }
 
 /// Forgets the shifts within the separation of one; `separation` is its square, pixels.
-fn clear_around(best: &mut [(u32, i32)], index: usize, width: usize, separation: f64) {
+fn clear_around(best: &mut [u32], index: usize, width: usize, separation: f64) {
     let (row, column) = (index / width, index % width);
     let reach = separation.sqrt().ceil() as usize;
     for other_row in row.saturating_sub(reach)..(row + reach + 1).min(width) {
         for other_column in column.saturating_sub(reach)..(column + reach + 1).min(width) {
             let (dr, dc) = (other_row.abs_diff(row), other_column.abs_diff(column));
             if ((dr * dr + dc * dc) as f64) < separation {
-                best[other_row * width + other_column].0 = 0;
+                best[other_row * width + other_column] = 0;
             }
         }
     }

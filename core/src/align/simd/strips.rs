@@ -38,10 +38,7 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
     /// # Panics
     /// When a pixel does not fit.
     pub fn add(&self, isa: Isa, pixels: &[u32], sums: &mut [[u32; WIDTH]]) {
-        assert!(pixels.iter().max().is_none_or(|last| self.fits(*last as usize)), "pixels fit the image");
-        for chunk in pixels.chunks(CHUNK) {
-            isa.run(PixelChunk { strips: self, pixels: chunk, sums: &mut sums[..self.rows] });
-        }
+        self.add_means_of::<1>(isa, pixels, sums);
     }
 
     /// Adds to `sums[row][column]` the rounded means of the bytes of four pixels each: about a quarter of what
@@ -50,21 +47,31 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
     /// # Panics
     /// When a pixel does not fit.
     pub fn add_means(&self, isa: Isa, pixels: &[u32], sums: &mut [[u32; WIDTH]]) {
+        self.add_means_of::<4>(isa, pixels, sums);
+    }
+
+    /// Adds the means of `OF` pixels each, a power of two: of one its bytes.
+    fn add_means_of<const OF: usize>(&self, isa: Isa, pixels: &[u32], sums: &mut [[u32; WIDTH]]) {
         assert!(pixels.iter().max().is_none_or(|last| self.fits(*last as usize)), "pixels fit the image");
-        for chunk in pixels.chunks(4 * CHUNK) {
-            let (fours, _) = chunk.as_chunks();
-            isa.run(FoursChunk { strips: self, fours, sums: &mut sums[..self.rows] });
+        for chunk in pixels.chunks(OF * CHUNK) {
+            let (groups, _) = chunk.as_chunks::<OF>();
+            isa.run(PixelChunk { strips: self, groups, sums: &mut sums[..self.rows] });
         }
     }
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
-    fn add_mean_rows<const N: usize>(&self, fours: &[[u32; 4]], first: usize, sums: &mut [[u32; WIDTH]]) {
-        let mut short = [[0_u16; WIDTH]; N];
-        for four in fours {
+    fn add_rows<const ROWS: usize, const OF: usize>(
+        &self,
+        groups: &[[u32; OF]],
+        first: usize,
+        sums: &mut [[u32; WIDTH]],
+    ) {
+        let mut short = [[0_u16; WIDTH]; ROWS];
+        for group in groups {
             for (row, short) in short.iter_mut().enumerate() {
-                let [a, b, c, d] = four.map(|pixel| self.strip(pixel as usize + (first + row) * self.stride));
-                *short = added(*short, mean(mean(a, b), mean(c, d)));
+                let from = (first + row) * self.stride;
+                *short = added(*short, mean_of(group.map(|pixel| self.strip(pixel as usize + from))));
             }
         }
         for (sums, short) in sums.iter_mut().zip(&short) {
@@ -80,88 +87,60 @@ impl<const WIDTH: usize> Strips<'_, WIDTH> {
     fn strip(&self, from: usize) -> [u8; WIDTH] {
         #[cfg(test)]
         assert!(from + WIDTH <= self.image.len());
-        // SAFETY: `add` and `add_means` found that every pixel fits, so that the strips of all its rows end
+        // SAFETY: `add_means_of` found that every pixel fits, so that the strips of all its rows end
         // inside the image; an array of bytes has no alignment.
         unsafe { self.image.as_ptr().add(from).cast::<[u8; WIDTH]>().read() }
     }
-
-    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
-    #[inline(always)]
-    fn add_rows<const N: usize>(&self, pixels: &[u32], first: usize, sums: &mut [[u32; WIDTH]]) {
-        let mut short = [[0_u16; WIDTH]; N];
-        for pixel in pixels {
-            let from = *pixel as usize + first * self.stride;
-            for (row, short) in short.iter_mut().enumerate() {
-                *short = added(*short, self.strip(from + row * self.stride));
-            }
-        }
-        for (sums, short) in sums.iter_mut().zip(&short) {
-            for (sum, short) in sums.iter_mut().zip(short) {
-                *sum += u32::from(*short);
-            }
-        }
-    }
 }
 
-/// At most [`CHUNK`] pixels to be added.
-struct PixelChunk<'a, const WIDTH: usize> {
+/// At most [`CHUNK`] groups of pixels, of which the means are added.
+struct PixelChunk<'a, const WIDTH: usize, const OF: usize> {
     strips: &'a Strips<'a, WIDTH>,
-    pixels: &'a [u32],
+    groups: &'a [[u32; OF]],
     sums: &'a mut [[u32; WIDTH]],
 }
 
-impl<const WIDTH: usize> Kernel for PixelChunk<'_, WIDTH> {
+impl<const WIDTH: usize, const OF: usize> Kernel for PixelChunk<'_, WIDTH, OF> {
     type Out = ();
 
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn run(self) {
-        let mut groups = self.sums.chunks_exact_mut(ROWS);
         let mut first = 0;
-        for group in &mut groups {
-            self.strips.add_rows::<ROWS>(self.pixels, first, group);
-            first += ROWS;
-        }
-        for row in groups.into_remainder().chunks_exact_mut(1) {
-            self.strips.add_rows::<1>(self.pixels, first, row);
-            first += 1;
+        for rows in self.sums.chunks_mut(ROWS) {
+            match rows.len() {
+                3 => self.strips.add_rows::<3, OF>(self.groups, first, rows),
+                2 => self.strips.add_rows::<2, OF>(self.groups, first, rows),
+                1 => self.strips.add_rows::<1, OF>(self.groups, first, rows),
+                _ => self.strips.add_rows::<ROWS, OF>(self.groups, first, rows),
+            }
+            first += rows.len();
         }
     }
 }
 
-/// At most [`CHUNK`] pixels by four, to be added as means.
-struct FoursChunk<'a, const WIDTH: usize> {
-    strips: &'a Strips<'a, WIDTH>,
-    fours: &'a [[u32; 4]],
-    sums: &'a mut [[u32; WIDTH]],
-}
-
-impl<const WIDTH: usize> Kernel for FoursChunk<'_, WIDTH> {
-    type Out = ();
-
-    #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
-    #[inline(always)]
-    fn run(self) {
-        let mut groups = self.sums.chunks_exact_mut(ROWS);
-        let mut first = 0;
-        for group in &mut groups {
-            self.strips.add_mean_rows::<ROWS>(self.fours, first, group);
-            first += ROWS;
-        }
-        for row in groups.into_remainder().chunks_exact_mut(1) {
-            self.strips.add_mean_rows::<1>(self.fours, first, row);
-            first += 1;
+/// The mean of strips, a power of two of them, by pairs.
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+#[inline(always)]
+fn mean_of<const WIDTH: usize, const OF: usize>(mut strips: [[u8; WIDTH]; OF]) -> [u8; WIDTH] {
+    let mut left = OF;
+    while left > 1 {
+        left /= 2;
+        for i in 0..left {
+            strips[i] = mean(strips[2 * i], strips[2 * i + 1]);
         }
     }
+    strips[0]
 }
 
-/// Means, a half rounded up: one instruction for a register of bytes.
+/// Means, a half rounded up: one instruction for a register of bytes. In bytes throughout, for the compiler splits what
+/// is wider for a moment.
 #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
 #[inline(always)]
 fn mean<const WIDTH: usize>(a: [u8; WIDTH], b: [u8; WIDTH]) -> [u8; WIDTH] {
     let mut means = [0; WIDTH];
     for i in 0..WIDTH {
-        means[i] = ((u16::from(a[i]) + u16::from(b[i]) + 1) >> 1) as u8;
+        means[i] = (a[i] | b[i]) - ((a[i] ^ b[i]) >> 1);
     }
     means
 }
