@@ -30,6 +30,8 @@ pub struct Alignment {
     pub margin: f64,
     /// That rival.
     pub rival: Option<Rival>,
+    /// By how much the prior is surprised by the answer, nats: see [`Search::surprise`](super::Search::surprise).
+    pub surprise: f64,
     /// Detections that were used.
     pub points_used: usize,
     /// Points that the batch was thinned to.
@@ -95,6 +97,7 @@ impl Findings<'_> {
                 .challenge
                 .strongest
                 .map(|rival| Rival { correction: truer(&rival.correction), ..rival }),
+            surprise: question.search.surprise(question.prior, &best.correction),
             points_used: question.batch.points.iter().filter(|p| p.squared_range() <= reach_sq).count(),
             thinned_points: question.thinned.len(),
             matched_fraction,

@@ -17,7 +17,8 @@ pub struct Integrity {
     /// Fraction of what was seen that must lie where the map has been.
     pub min_coverage: f64,
     /// How clearly the objects in view must prefer the answer to any other pose, nats: see
-    /// [`super::objects::Preference::nats`].
+    /// [`super::objects::Preference::nats`]; and beyond that as much as the prior is surprised by the answer
+    /// ([`Alignment::surprise`]).
     pub min_margin: f64,
     /// A detection lies on mapped structure when a map point is this near, metres.
     pub matched_within_m: f64,
@@ -141,7 +142,7 @@ impl Protection {
 pub(super) fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) -> Verdict {
     let sigma_m = worst_sigma_m(&answer.covariance);
     let Alignment { thinned_points: points, coverage, contrast, margin, .. } = *answer;
-    let contested = margin < integrity.min_margin;
+    let contested = margin < integrity.min_margin + answer.surprise;
     let displaced = margin < 0.0 && answer.rival.is_some_and(|rival| rival.beyond);
     if points < integrity.min_points {
         Verdict::TooLittleStructure { points, sigma_m }
@@ -212,6 +213,7 @@ pub(super) mod tests {
             contrast: 3.0,
             margin: 20.0,
             rival: Some(rival(5.0, 0.0, false)),
+            surprise: 0.0,
             points_used: 7000,
             thinned_points: 2000,
             matched_fraction: 0.9,
@@ -238,6 +240,8 @@ pub(super) mod tests {
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
         let aside = judged(|a| (a.margin, a.rival) = (1.0, Some(rival(0.0, 5.0, false))));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
+        assert!(matches!(judged(|a| (a.margin, a.surprise) = (6.0, 5.0)), Verdict::Ambiguous { .. }));
+        assert_eq!(judged(|a| (a.margin, a.surprise) = (7.1, 5.0)), Verdict::Usable);
         let displaced = judged(|a| (a.margin, a.rival) = (-1.0, Some(rival(15.0, 0.0, true))));
         assert_eq!(displaced, Verdict::PriorOutsideSearch);
         let contradicted = judged(|a| (a.margin, a.rival) = (1.0, Some(rival(15.0, 0.0, true))));

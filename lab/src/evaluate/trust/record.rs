@@ -91,8 +91,10 @@ pub struct TrustRecord {
     pub score: f64,
     /// Mean weight relative to the background's.
     pub contrast: f64,
-    /// Log-likelihood above the best candidate elsewhere, nats.
+    /// How clearly the objects in view prefer the answer to its strongest rival, nats.
     pub margin: f64,
+    /// By how much the prior is surprised by the answer, nats.
+    pub surprise: f64,
     /// Points of the batch.
     pub points: usize,
     /// Points within reach.
@@ -148,6 +150,7 @@ impl TrustRecord {
             score: answer.score,
             contrast: answer.contrast,
             margin: answer.margin,
+            surprise: answer.surprise,
             points_used: answer.points_used,
             thinned_points: answer.thinned_points,
             matched_fraction: answer.matched_fraction,

@@ -135,6 +135,7 @@ fn diagnostics(answer: &LocateAnswer, batch: &BatchFacts) -> Diagnostics {
         contrast: alignment.contrast,
         searched_wide: answer.relocalized,
         margin: alignment.margin,
+        surprise: alignment.surprise,
         rival: alignment.rival.map(|rival| relative(&rival.correction)),
     }
 }
