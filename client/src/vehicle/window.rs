@@ -15,7 +15,10 @@ use super::{Error, VehicleConfig};
 #[derive(Debug, Clone)]
 pub(super) struct ScanWindow {
     config: VehicleConfig,
+    /// As they are used now.
     mounts: Vec<Mount>,
+    /// As they were stated. Data in another convention are looked for by these: calibrated ones are bent towards them.
+    built: Vec<Mount>,
     odometry: Trajectory,
     /// Metres travelled from the very first pose to the newest.
     travelled_m: f64,
@@ -33,6 +36,7 @@ impl ScanWindow {
     pub(super) fn new(config: &VehicleConfig, mounts: Vec<Mount>) -> Self {
         Self {
             config: *config,
+            built: mounts.clone(),
             mounts,
             odometry: Trajectory::default(),
             travelled_m: 0.0,
@@ -160,7 +164,7 @@ impl ScanWindow {
             let velocity = self.odometry.velocity_at(scan.time_us);
             let mount = &self.mounts[scan.sensor];
             if let Some(velocity) = velocity {
-                self.inspection.see(&(&scan).into(), mount, velocity);
+                self.inspection.see(&(&scan).into(), &self.built[scan.sensor], velocity);
             }
             let dropped = gate_scan(&mut scan, mount, velocity, &self.config.gate);
             self.dropped.add(&dropped);
