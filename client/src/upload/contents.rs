@@ -86,6 +86,7 @@ impl PreparedUpload {
         if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
             header.dropped = (dropped.total() > 0).then(|| wire::dropped(dropped));
             header.suspected = wire::suspected(findings);
+            header.inspected = true;
         }
     }
 

@@ -94,7 +94,7 @@ impl MappingApi {
             UploadBody::Scans(submission) => build_evidence(submission, &self.config.limits())?,
             UploadBody::Evidence(evidence) => evidence.checked(&self.config)?,
         };
-        if let Some(finding) = told.mostly_moving(contributed.delta.detections) {
+        if let Some(finding) = told.refused(contributed.delta.detections) {
             return Err(BuildError::MostlyMoving(finding).into());
         }
         let response = response(id, &contributed, &told.dropped);

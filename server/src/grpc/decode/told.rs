@@ -12,6 +12,8 @@ pub struct Told {
     /// What its gates left out.
     pub dropped: v1::DroppedDetections,
     suspects: Vec<Convention>,
+    /// Whether it has looked for them.
+    inspected: bool,
 }
 
 impl Told {
@@ -23,7 +25,20 @@ impl Told {
             suspected.filter_map(|code| convention(v1::Convention::try_from(*code).ok()?)).collect();
         suspects.sort_unstable();
         suspects.dedup();
-        Self { dropped: dropped.unwrap_or_default(), suspects }
+        Self { dropped: dropped.unwrap_or_default(), suspects, inspected: false }
+    }
+
+    /// The same of a vehicle that says whether it has looked for other conventions.
+    #[must_use]
+    pub fn inspected(self, inspected: bool) -> Self {
+        Self { inspected, ..self }
+    }
+
+    /// The finding for which an upload is refused: its movers outnumber what is left, and nobody has looked why, or another
+    /// convention would explain them. What was looked at and is not explained is dense traffic.
+    #[must_use]
+    pub fn refused(&self, standing: u64) -> Option<Finding> {
+        self.mostly_moving(standing).filter(|finding| !self.inspected || !finding.suspects().is_empty())
     }
 
     /// The finding that its movers outnumber what is left.
@@ -72,6 +87,16 @@ mod tests {
         let finding = told.mostly_moving(7).unwrap();
         assert_eq!(finding.suspects(), [Convention::RadialSpeedKmh]);
         assert_eq!(Told::of(None, &[1; 1000]).mostly_moving(0), None);
+    }
+
+    /// Catches uploads from dense traffic that are refused, and uploads in another convention that are not.
+    #[test]
+    fn traffic_is_no_reason_to_refuse_where_the_vehicle_has_looked() {
+        let dropped = Some(v1::DroppedDetections { moving: 71, ..v1::DroppedDetections::default() });
+        let clockwise = [v1::Convention::AzimuthClockwise.into()];
+        assert!(Told::of(dropped, &[]).refused(29).is_some());
+        assert_eq!(Told::of(dropped, &[]).inspected(true).refused(29), None);
+        assert!(Told::of(dropped, &clockwise).inspected(true).refused(29).is_some());
     }
 
     /// Catches a suspicion that is forgotten where fewer than half were left out.

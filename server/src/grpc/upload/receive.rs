@@ -138,7 +138,7 @@ impl<'a> UploadReceiver<'a> {
         } else {
             UploadBody::Scans(RawUpload { mounts: self.mounts, chunks: self.chunks })
         };
-        let told = Told::of(header.dropped, &header.suspected);
+        let told = Told::of(header.dropped, &header.suspected).inspected(header.inspected);
         Ok(ReceivedUpload { id: self.id, contributor: header.contributor.clone(), day, told, body })
     }
 }
