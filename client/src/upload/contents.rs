@@ -81,7 +81,7 @@ impl PreparedUpload {
         }
     }
 
-    /// Says what the vehicle left out of it, and what it suspects of its own data.
+    /// Says what the vehicle left out of it, that it has looked at its own data, and what it suspects of them.
     pub(crate) fn tell(&mut self, dropped: &Dropped, findings: &[Finding]) {
         if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
             header.dropped = (dropped.total() > 0).then(|| wire::dropped(dropped));

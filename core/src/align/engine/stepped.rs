@@ -61,7 +61,7 @@ impl Stepped {
 
 impl Engine for Stepped {
     fn name(&self) -> &'static str {
-        "fast"
+        "stepped"
     }
 
     fn search_all(

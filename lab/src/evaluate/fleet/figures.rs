@@ -99,22 +99,9 @@ fn rate(rows: &[&TrustRecord], hit: impl Fn(&TrustRecord) -> bool) -> Option<Est
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::trust::record::USABLE;
 
     fn row(batch: usize, along_m: f64) -> TrustRecord {
-        TrustRecord {
-            batch,
-            along_m,
-            verdict: USABLE,
-            on_map: true,
-            sigma_along_m: 0.1,
-            sigma_cross_m: 0.1,
-            sigma_yaw_deg: 0.1,
-            level_along_m: 0.5,
-            level_cross_m: 0.5,
-            level_yaw_deg: 0.5,
-            ..TrustRecord::default()
-        }
+        TrustRecord { batch, along_m, ..TrustRecord::example() }
     }
 
     /// Catches: intervals that shrink with the priors of a batch, which are not independent.

@@ -223,6 +223,24 @@ impl TrustRecord {
     }
 }
 
+#[cfg(test)]
+impl TrustRecord {
+    /// A usable answer without error, of sigmas of a decimetre and of a tenth of a degree and levels of half of each unit.
+    pub fn example() -> Self {
+        Self {
+            verdict: USABLE,
+            on_map: true,
+            sigma_along_m: 0.1,
+            sigma_cross_m: 0.1,
+            sigma_yaw_deg: 0.1,
+            level_along_m: 0.5,
+            level_cross_m: 0.5,
+            level_yaw_deg: 0.5,
+            ..Self::default()
+        }
+    }
+}
+
 impl Question<'_> {
     /// The error of a pose along and across the true heading, ground metres, and of the heading, degrees; zero where there
     /// is no truth.

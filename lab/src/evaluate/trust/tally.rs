@@ -139,21 +139,8 @@ mod tests {
     use super::*;
 
     fn row(family: &'static str, batch: usize, along_m: f64) -> TrustRecord {
-        TrustRecord {
-            family,
-            case: "right".to_owned(),
-            batch,
-            along_m,
-            verdict: if along_m < 5.0 { USABLE } else { "LOST" },
-            on_map: true,
-            sigma_along_m: 0.1,
-            sigma_cross_m: 0.1,
-            sigma_yaw_deg: 0.1,
-            level_along_m: 0.5,
-            level_cross_m: 0.5,
-            level_yaw_deg: 0.5,
-            ..TrustRecord::default()
-        }
+        let verdict = if along_m < 5.0 { USABLE } else { "LOST" };
+        TrustRecord { family, case: "right".to_owned(), batch, along_m, verdict, ..TrustRecord::example() }
     }
 
     /// Catches: priors of one batch counted as so many batches.

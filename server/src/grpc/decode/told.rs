@@ -44,18 +44,19 @@ impl Told {
     /// The finding that its movers outnumber what is left.
     #[must_use]
     pub fn mostly_moving(&self, standing: u64) -> Option<Finding> {
-        let (moving, suspects) = (self.dropped.moving, self.suspects.clone());
-        let of = moving.saturating_add(standing);
-        (moving > standing).then_some(Finding::Moving { moving, of, sensor: None, suspects })
+        (self.dropped.moving > standing).then(|| self.moving(standing))
     }
 
     /// The finding that a vehicle suspects its own data of another convention, where less was left out: of mirrored
     /// azimuths many returns stand still by chance.
     #[must_use]
     pub fn suspicion(&self, standing: u64) -> Option<Finding> {
+        (!self.suspects.is_empty()).then(|| self.moving(standing))
+    }
+
+    fn moving(&self, standing: u64) -> Finding {
         let (moving, suspects) = (self.dropped.moving, self.suspects.clone());
-        let of = moving.saturating_add(standing);
-        (!suspects.is_empty()).then_some(Finding::Moving { moving, of, sensor: None, suspects })
+        Finding::Moving { moving, of: moving.saturating_add(standing), sensor: None, suspects }
     }
 }
 

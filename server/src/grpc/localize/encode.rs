@@ -101,8 +101,11 @@ fn with_diagnosis(reason: String, answer: &LocateAnswer, batch: &BatchFacts) -> 
     let believed_rad = answer.yaw_rad - answer.alignment.correction.yaw_rad;
     let prior = yaw_suspect(believed_rad, answer.yaw_rad).filter(|_| answer.relocalized);
     let prior = prior.map(|convention| format!("; of the prior's yaw: {}", convention.question()));
+    // A margin that would do elsewhere is then not enough.
+    let surprise = (answer.alignment.surprise > 0.0)
+        .then_some("; the prior hardly expects the answer, which asks more of it");
     let batch = Some(format!("; {}", batch.findings)).filter(|_| !batch.findings.is_empty());
-    reason + &batch.unwrap_or_default() + &prior.unwrap_or_default()
+    reason + surprise.unwrap_or_default() + &batch.unwrap_or_default() + &prior.unwrap_or_default()
 }
 
 fn protection(answer: &LocateAnswer) -> ProtectionLevel {
