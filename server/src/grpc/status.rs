@@ -47,7 +47,11 @@ pub fn store(error: &store::Error) -> Status {
         store::Error::Rebuilding { .. } => unavailable(error, Duration::from_secs(5)),
         store::Error::Unknown(what) => Status::not_found(what),
         store::Error::Unusable(what) => Status::invalid_argument(what),
-        store::Error::Io { .. } | store::Error::Stopped(_) => {
+        store::Error::Io { .. }
+        | store::Error::Stopped(_)
+        | store::Error::NoRoom { .. }
+        | store::Error::Broken(_)
+        | store::Error::Tiles(sled::Error::Io(_)) => {
             tracing::error!(%error, "the store refuses");
             // The message names files of the machine; the vehicle needs the time of its next attempt only.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))

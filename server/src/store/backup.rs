@@ -33,8 +33,8 @@ impl EmbeddedStore {
             Ok::<_, Error>(BackupPart { name, file, length })
         };
         let mut parts = vec![whole("key".to_owned())?];
-        if checkpoint.path.is_some() {
-            parts.push(whole(format!("base-{}", checkpoint.last))?);
+        if let Some(name) = checkpoint.path.as_ref().and_then(|path| path.file_name()) {
+            parts.push(whole(name.to_string_lossy().into_owned())?);
         }
         parts.extend(self.shared.journal.parts(self.shared.index.newest_at())?);
         Ok(parts)

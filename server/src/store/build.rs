@@ -53,15 +53,32 @@ pub(super) fn build(shared: &StoreContext) -> Result<Option<Built>, Error> {
     let Some(checkpoint) = compacted_checkpoint(shared, applied, &mut reporter)? else { return Ok(None) };
     let number = shared.dir.next_generation()?;
     let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
-    let fresh = Generation::create(&path, number, shared.cache_bytes, publish)?;
+    let fresh = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
     reached(shared, BuildStep::Created)?;
     let outcome = fill(shared, &fresh, &checkpoint, applied, &mut reporter);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
         fresh.retire();
         return Ok(None);
     };
+    let generation = publish_and_serve(shared, fresh, applied, folded)?;
+    reached(shared, BuildStep::Served)?;
+    if let Err(error) = discard_compacted(shared, checkpoint) {
+        tracing::error!(%error, "compacted records could not be deleted; the next start does");
+    }
+    tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
+    Ok(Some(Built { generation, applied, folded }))
+}
+
+/// Names a generation in the manifest, serves it, and lets the one before go.
+fn publish_and_serve(
+    shared: &StoreContext,
+    fresh: Generation,
+    applied: u64,
+    folded: u64,
+) -> Result<Arc<Generation>, Error> {
     let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.policy.digest());
-    Manifest { journal, generation: number, applied, lineage, policy }.write(shared.dir.root())?;
+    shared.dir.fence().check()?;
+    Manifest { journal, generation: fresh.number, applied, lineage, policy }.write(shared.dir.root())?;
     reached(shared, BuildStep::Published)?;
     let generation = Arc::new(fresh);
     let before = shared.serve(Some(generation.clone()));
@@ -73,12 +90,24 @@ pub(super) fn build(shared: &StoreContext) -> Result<Option<Built>, Error> {
     if let Some(before) = before {
         before.retire();
     }
-    reached(shared, BuildStep::Served)?;
-    if let Err(error) = discard_compacted(shared, checkpoint) {
-        tracing::error!(%error, "compacted records could not be deleted; the next start does");
-    }
-    tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
-    Ok(Some(Built { generation, applied, folded }))
+    Ok(generation)
+}
+
+/// Makes a generation of what another one shows, which takes no more writes: its tiles, as they are, without folding
+/// anything.
+pub(super) fn replace(
+    shared: &StoreContext,
+    failed: &Generation,
+    applied: u64,
+) -> Result<Arc<Generation>, Error> {
+    let number = shared.dir.next_generation()?;
+    let publish = shared.policy.publish_contributors;
+    super::room::for_tiles(shared.dir.root(), failed.catalog().totals(0).bytes)?;
+    let path = shared.dir.generation(number);
+    let fresh = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
+    let filled = fresh.copy(failed).and_then(|()| fresh.complete(shared.journal_id));
+    filled.and_then(|()| fresh.tiles.flush()).inspect_err(|_| fresh.retire())?;
+    publish_and_serve(shared, fresh, applied, failed.folded())
 }
 
 /// Deletes what a checkpoint stands for.
@@ -89,7 +118,7 @@ pub(super) fn discard_compacted(shared: &StoreContext, checkpoint: Checkpoint) -
     *current = checkpoint;
     shared.index.truncate(last);
     shared.journal.delete_up_to(last)?;
-    current.remove_others(shared.dir.root())
+    current.remove_others(shared.dir.root(), shared.journal_id)
 }
 
 /// Folds checkpoint and journal into an empty generation. Returns the last record it holds; `None` when the
@@ -137,7 +166,8 @@ fn set_versions(
     fresh.change_all(folded, |id, tile| {
         let same = match before {
             Some(before) => {
-                let (old, new) = (before.tiles.raw(id)?, fresh.tiles.raw(id)?);
+                // One that cannot be read any more cannot be compared: its tile takes a number that it never had.
+                let (old, new) = (before.tiles.raw(id).ok().flatten(), fresh.tiles.raw(id)?);
                 old.zip(new).filter(|((_, old), (_, new))| old == new).map(|((version, _), _)| version)
             }
             None => None,
@@ -161,8 +191,9 @@ fn compacted_checkpoint(
     let mut compactions = index.compactions_beyond(checkpoint.last);
     compactions.retain(|(number, _)| *number <= applied);
     let Some((_, newest)) = compactions.last().copied() else { return Ok(Some(checkpoint)) };
-    let (path, publish) = (shared.dir.scratch(), shared.policy.publish_contributors);
-    let scratch = Generation::create(&path, 0, shared.cache_bytes, publish)?;
+    let number = shared.dir.next_generation()?;
+    let (path, publish) = (shared.dir.scratch(number), shared.policy.publish_contributors);
+    let scratch = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
     // Its ledgers must not stay on disk.
     scratch.retire();
     scratch.load(&checkpoint)?;

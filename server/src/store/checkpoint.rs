@@ -53,7 +53,7 @@ impl Checkpoint {
         tiles: &[TileId],
         mut tile: impl FnMut(TileId) -> Result<(u64, Vec<u8>), Error>,
     ) -> Result<Self, Error> {
-        let name = format!("base-{last}");
+        let name = free_name(root, last);
         let mut failure = None;
         let written = put_file(root, &name, |file| {
             let mut out = ChecksummedWriter::new(file);
@@ -92,13 +92,29 @@ impl Checkpoint {
         read(path, each).map(|_| ())
     }
 
-    /// Deletes all checkpoints but this one.
-    pub(super) fn remove_others(&self, root: &Path) -> Result<(), Error> {
+    /// Deletes the sound checkpoints of the journal that this one continues. What is damaged, or of another journal, stays
+    /// for whoever runs the store.
+    pub(super) fn remove_others(&self, root: &Path, journal: Uuid) -> Result<(), Error> {
         for path in files(root)?.into_iter().filter(|path| Some(path) != self.path.as_ref()) {
-            fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
+            match read(&path, |_, _, _| Ok(())) {
+                Ok((of, older)) if of == journal && older.last <= self.last => {
+                    fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
+                }
+                _ => tracing::warn!(path = %path.display(), "no sound checkpoint of this journal; left alone"),
+            }
         }
         Ok(())
     }
+}
+
+/// A name that nothing has, whoever made it.
+fn free_name(root: &Path, last: u64) -> String {
+    let names = (1..).map(|count| match count {
+        1 => format!("base-{last}"),
+        count => format!("base-{last}.{count}"),
+    });
+    let mut free = names.filter(|name| root.join(name).symlink_metadata().is_err());
+    free.next().unwrap_or_else(|| format!("base-{last}"))
 }
 
 fn read(
@@ -133,7 +149,9 @@ fn files(root: &Path) -> Result<Vec<PathBuf>, Error> {
         let entry = entry.map_err(io_error(listing))?;
         let name = entry.file_name();
         let number = name.to_str().and_then(|name| name.strip_prefix("base-"));
-        if number.is_some_and(|number| number.parse::<u64>().is_ok()) {
+        let numbers = number.map(|number| number.split_once('.').unwrap_or((number, "2")));
+        let is_one = |(last, count): (&str, &str)| last.parse::<u64>().is_ok() && count.parse::<u32>().is_ok();
+        if numbers.is_some_and(is_one) && entry.path().is_file() {
             files.push(entry.path());
         }
     }
@@ -179,7 +197,12 @@ mod tests {
             assert_eq!(Checkpoint::newest(dir.path(), ours).unwrap(), older, "cut at {at}");
         }
         fs::write(&path, &good).unwrap();
-        newer.remove_others(dir.path()).unwrap();
-        assert_eq!(files(dir.path()).unwrap(), [path]);
+        let theirs = dir.path().join("base-11");
+        fs::write(dir.path().join("base-3"), "a bass line").unwrap();
+        newer.remove_others(dir.path(), ours).unwrap();
+        let mut left = files(dir.path()).unwrap();
+        left.sort();
+        assert_eq!(left, [theirs, dir.path().join("base-3"), path], "only what is replaced goes");
+        assert_eq!(write(ours, 3).path, Some(dir.path().join("base-3.2")), "nothing is overwritten");
     }
 }

@@ -1,58 +1,77 @@
 //! The layout of a data directory.
 //!
 //! ```text
-//! lock       held while a server runs
-//! key        16 random bytes, mode 0600: what contributors' pseudonyms are hashed with
-//! journal/   the source of truth
-//! base-<n>   the source of truth for the records up to n that were compacted
-//! manifest   which tiles are served
-//! tiles-<n>/ sled, a generation of tiles; folded from checkpoint and journal, may be deleted while no server runs
+//! lock         held while a server runs; the directory itself is locked, too, and its journal
+//! writer       whose store it is by now: the second line behind the locks
+//! key          what contributors' pseudonyms are hashed with, checksummed, mode 0600; key-copy is its copy
+//! journal/     the source of truth
+//! base-<n>     the source of truth for the records up to n that were compacted
+//! manifest     which tiles are served
+//! tiles-<n>/   sled, a generation of tiles; folded from checkpoint and journal, may be deleted while no server runs
+//! scratch-<n>/ tiles that are folded to be compacted
+//! set-aside/   what contradicts the journal, kept for whoever runs the store
 //! ```
+//!
+//! Nothing is deleted or overwritten here that this store did not make: its directories of tiles hold a marker
+//! ([`marker`]), and files that are being written have names of their own ([`files`]).
 
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::hash::Hasher;
-use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::OpenOptionsExt;
+mod contributor_key;
+mod fence;
+mod files;
+mod lock;
+mod marker;
+mod traces;
+
+use std::fs;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
-use siphasher::sip::SipHasher24;
+use uuid::Uuid;
+
+pub(super) use fence::Fence;
+pub(super) use files::{put_file, replaced};
+pub(super) use marker::{mark, marked};
 
 use super::journal::Journal;
 use super::{Error, io_error};
+use contributor_key::ContributorKey;
+use lock::Locks;
 
-/// Ends the names of files that are being written.
-const UNFINISHED: &str = ".new";
-/// Tiles that are folded to be compacted.
-const SCRATCH: &str = "scratch";
+/// How the names of generations of tiles begin.
+const TILES: &str = "tiles-";
+/// How the names of tiles begin that are folded to be compacted.
+const SCRATCH: &str = "scratch-";
+/// Where it lies what contradicts the journal.
+const SET_ASIDE: &str = "set-aside";
 
 /// A locked data directory.
 pub(super) struct DataDir {
     root: PathBuf,
-    key: [u8; 16],
-    /// The lock lives as long as the file is open.
-    _lock: File,
+    key: ContributorKey,
+    fence: Fence,
+    _locks: Locks,
 }
 
 impl DataDir {
-    /// Opens a data directory, creating what is missing.
+    /// Opens a data directory, creating what is missing. Nothing is created in one that lost its journal.
     pub(super) fn open(root: &Path) -> Result<Self, Error> {
-        fs::create_dir_all(root.join("journal")).map_err(io_error("creating the data directory"))?;
-        let lock = File::create(root.join("lock")).map_err(io_error("creating the lock file"))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(Error::InUse(root.display().to_string())),
-            Err(TryLockError::Error(error)) => return Err(io_error("locking the data directory")(error)),
+        let creating = "creating the data directory";
+        let mut builder = fs::DirBuilder::new();
+        builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
+        let mut locks = Locks::of(root)?;
+        let journal = root.join("journal");
+        if !Journal::has_segments(&journal)? {
+            traces::none(root, &journal)?;
+            builder.create(&journal).map_err(at(&journal, creating))?;
         }
-        let named = root.join("key").try_exists().map_err(io_error("reading the key"))?;
-        if !named && Journal::holds_records(&root.join("journal"))? {
-            return Err(key_is_missing(root));
-        }
-        let key = key(root).map_err(io_error("reading or creating the key"))?;
-        sync_dir(root).map_err(io_error("syncing the data directory"))?;
+        locks.hold(&journal)?;
+        let key = ContributorKey::open(root, Journal::holds_records(&journal)?)?;
+        let fence = Fence::take(root)?;
+        files::sync_dir(root).map_err(at(root, "syncing the data directory"))?;
         if let Some(parent) = root.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            sync_dir(parent).map_err(io_error("syncing the data directory's parent"))?;
+            files::sync_dir(parent).map_err(at(parent, "syncing the data directory's parent"))?;
         }
-        Ok(Self { root: root.to_owned(), key, _lock: lock })
+        Ok(Self { root: root.to_owned(), key, fence, _locks: locks })
     }
 
     pub(super) fn journal(&self) -> PathBuf {
@@ -63,137 +82,91 @@ impl DataDir {
         &self.root
     }
 
+    /// Tells whether another server took the directory over.
+    pub(super) fn fence(&self) -> &Fence {
+        &self.fence
+    }
+
     /// The directory of a generation of tiles.
     pub(super) fn generation(&self, number: u64) -> PathBuf {
-        self.root.join(format!("tiles-{number}"))
+        self.root.join(format!("{TILES}{number}"))
     }
 
-    /// A number that no generation on disk has.
+    /// Where tiles are folded that are not served.
+    pub(super) fn scratch(&self, number: u64) -> PathBuf {
+        self.root.join(format!("{SCRATCH}{number}"))
+    }
+
+    /// A number that is free: nothing on disk has a name with it, whoever made that.
     pub(super) fn next_generation(&self) -> Result<u64, Error> {
-        let numbers =
-            self.names()?.into_iter().filter_map(|name| name.strip_prefix("tiles-")?.parse::<u64>().ok());
-        Ok(numbers.max().unwrap_or(0) + 1)
+        let names = files::names(&self.root)?;
+        let number = |name: &String| {
+            name.strip_prefix(TILES).or_else(|| name.strip_prefix(SCRATCH))?.parse::<u64>().ok()
+        };
+        let taken: Vec<u64> = names.iter().filter_map(number).collect();
+        let sensible = taken.iter().copied().filter(|number| *number < u64::MAX / 2).max().unwrap_or(0);
+        Ok(sensible + 1)
     }
 
-    /// Removes all tiles but those of a generation, and whatever unfinished work left over.
-    pub(super) fn remove_all_but(&self, generation: Option<u64>) -> Result<(), Error> {
-        let current = generation.map(|number| format!("tiles-{number}"));
-        for name in self.names()? {
-            let tiles = name.starts_with("tiles") || name == SCRATCH;
-            let unfinished = name.ends_with(UNFINISHED);
+    /// Removes tiles that this store made and no longer needs, and files it did not finish. `replaced` says that the
+    /// manifest is sound: then other generations of its journal are older ones, or unfinished. Without it they may hold
+    /// what the journal lost, and are set aside.
+    pub(super) fn clean(&self, journal: Uuid, current: Option<u64>, replaced: bool) -> Result<(), Error> {
+        files::remove_unfinished(&self.root)?;
+        let current = current.map(|number| format!("{TILES}{number}"));
+        for name in files::names(&self.root)? {
+            let numbered = |prefix| name.strip_prefix(prefix).is_some_and(|n: &str| n.parse::<u64>().is_ok());
+            let (tiles, scratch) = (numbered(TILES), numbered(SCRATCH));
+            if current.as_ref() == Some(&name) || !(tiles || scratch || name == "scratch") {
+                continue;
+            }
             let path = self.root.join(&name);
-            if tiles && current.as_ref() != Some(&name) {
-                fs::remove_dir_all(path).map_err(io_error("removing old tiles"))?;
-            } else if unfinished {
-                fs::remove_file(path).map_err(io_error("removing an unfinished file"))?;
+            match marked(&path) {
+                Some(of) if of == journal && (scratch || replaced) => {
+                    fs::remove_dir_all(&path).map_err(at(&path, "removing old tiles"))?;
+                }
+                Some(_) => self.set_aside(&name, "tiles that do not belong to this journal and manifest")?,
+                None => tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone"),
             }
         }
         Ok(())
     }
 
-    /// Where tiles are folded that are not served.
-    pub(super) fn scratch(&self) -> PathBuf {
-        self.root.join(SCRATCH)
-    }
-
-    fn names(&self) -> Result<Vec<String>, Error> {
-        let listing = "listing the data directory";
-        let mut names = Vec::new();
-        for entry in fs::read_dir(&self.root).map_err(io_error(listing))? {
-            names.extend(entry.map_err(io_error(listing))?.file_name().into_string());
+    /// Moves what contradicts the journal out of the way. It is never deleted.
+    pub(super) fn set_aside(&self, name: &str, why: &str) -> Result<(), Error> {
+        let dir = self.root.join(SET_ASIDE);
+        let doing = "setting aside what contradicts the journal";
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(&dir).map_err(at(&dir, doing))?;
+        let mut to = dir.join(name);
+        let mut count = 1;
+        while to.symlink_metadata().is_ok() {
+            count += 1;
+            to = dir.join(format!("{name}.{count}"));
         }
-        Ok(names)
+        fs::rename(self.root.join(name), &to).map_err(at(&to, doing))?;
+        files::sync_dir(&dir).and_then(|()| files::sync_dir(&self.root)).map_err(at(&dir, doing))?;
+        tracing::warn!(%name, to = %to.display(), why, "set aside; look at it, then delete it or restore from it");
+        Ok(())
     }
 
     /// SipHash-2-4 of a contributor's pseudonym under this directory's key.
     pub(super) fn contributor(&self, pseudonym: &str) -> u64 {
-        let mut hasher = SipHasher24::new_with_key(&self.key);
-        hasher.write(pseudonym.as_bytes());
-        hasher.finish()
+        self.key.hash(pseudonym)
+    }
+
+    /// What is wrong with the key on disk.
+    pub(super) fn key_damage(&self) -> Vec<String> {
+        self.key.damage(&self.root)
     }
 }
 
-/// The key, made once. It gets its name only when all of it is on disk.
-fn key(root: &Path) -> io::Result<[u8; 16]> {
-    let path = root.join("key");
-    match fs::read(&path) {
-        Ok(bytes) => {
-            let length = bytes.len();
-            let wrong = || io::Error::other(format!("{} holds {length} bytes, expected 16", path.display()));
-            return bytes.try_into().map_err(|_| wrong());
-        }
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        Err(error) => return Err(error),
+/// Names the file in what is told of a failure.
+fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
+    let path = path.display().to_string();
+    move |error| {
+        io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
     }
-    let mut key = [0; 16];
-    getrandom::fill(&mut key).map_err(io::Error::other)?;
-    put_file_with(root, "key", 0o600, |file| file.write_all(&key))?;
-    Ok(key)
-}
-
-/// Under a new key every contributor would count again, as another one.
-fn key_is_missing(root: &Path) -> Error {
-    Error::Damaged {
-        what: format!("the data directory {}", root.display()),
-        reason: "its journal holds uploads but the file `key` is missing. Restore it from a backup, or put \
-                 16 random bytes there to go on with every contributor counted as a new one"
-            .to_owned(),
-    }
-}
-
-/// Writes a file that gets its name only when all of it is on disk; the name is on disk, too, when this
-/// returns.
-pub(super) fn put_file(
-    root: &Path,
-    name: &str,
-    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
-    put_file_with(root, name, 0o644, write)
-}
-
-fn put_file_with(
-    root: &Path,
-    name: &str,
-    mode: u32,
-    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
-    let unnamed = root.join(format!("{name}{UNFINISHED}"));
-    let file = OpenOptions::new().create(true).write(true).truncate(true).mode(mode).open(&unnamed)?;
-    let mut file = BufWriter::new(file);
-    write(&mut file)?;
-    file.into_inner()?.sync_all()?;
-    fs::rename(unnamed, root.join(name))?;
-    sync_dir(root)
-}
-
-fn sync_dir(dir: &Path) -> io::Result<()> {
-    File::open(dir)?.sync_all()
 }
 
 #[cfg(test)]
-mod tests {
-    use std::os::unix::fs::PermissionsExt;
-
-    use super::*;
-
-    #[test]
-    fn a_directory_belongs_to_one_server_at_a_time() {
-        let dir = tempfile::tempdir().unwrap();
-        let first = DataDir::open(dir.path()).unwrap();
-        assert!(matches!(DataDir::open(dir.path()), Err(Error::InUse(_))));
-        drop(first);
-        assert!(DataDir::open(dir.path()).is_ok());
-    }
-
-    #[test]
-    fn the_key_is_private_lasting_and_its_own() {
-        let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let hash = |dir: &Path| DataDir::open(dir).unwrap().contributor("car-7");
-        assert_eq!(hash(one.path()), hash(one.path()));
-        assert_ne!(hash(one.path()), hash(other.path()));
-        let mode = fs::metadata(one.path().join("key")).unwrap().permissions().mode();
-        assert_eq!(mode & 0o777, 0o600);
-        fs::write(one.path().join("key"), "short").unwrap();
-        assert!(DataDir::open(one.path()).is_err(), "a damaged key is not replaced");
-    }
-}
+mod tests;

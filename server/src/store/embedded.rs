@@ -20,7 +20,7 @@ use super::fold_worker::{self, FoldWorker};
 use super::generation::Generation;
 use super::index::{JournalIndex, Reserved};
 use super::journal::{Journal, Written};
-use super::manifest::Manifest;
+use super::manifest::{Found, Manifest};
 use super::{
     Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options, QuarantinedRecord,
     Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, io_error,
@@ -50,8 +50,8 @@ impl EmbeddedStore {
         if checkpoint.last < index.before() {
             return Err(build::uncovered(index.before(), checkpoint.last));
         }
-        let manifest =
-            Manifest::read(dir.root(), &options.policy)?.filter(|manifest| manifest.journal == found.id());
+        let manifest = manifest_of(&dir, options, found.id())?;
+        let sound = manifest.is_some();
         let policy = options.policy.digest();
         let lineage = match &manifest {
             Some(manifest) if manifest.policy == policy => manifest.lineage,
@@ -61,9 +61,10 @@ impl EmbeddedStore {
         if worker.on.is_none() && index.newest() == 0 {
             worker.on = Some(first(&dir, options, found.id(), lineage)?);
         }
-        dir.remove_all_but(worker.on.as_ref().map(|generation| generation.number))?;
+        dir.clean(found.id(), worker.on.as_ref().map(|generation| generation.number), sound)?;
         let end = index.newest();
-        let state = if shows_all(&worker, &index) { MapStatus::Serving } else { MapStatus::Rebuilding };
+        // What is served is the last good epoch; what was journaled after it is folded behind it.
+        let state = if worker.on.is_some() { MapStatus::Serving } else { MapStatus::Rebuilding };
         let epoch = worker.folded;
         let progress =
             watch::Sender::new(MapProgress { state, epoch, journaled: end, building: None, stopped: false });
@@ -77,7 +78,7 @@ impl EmbeddedStore {
         };
         let journal_id = found.id();
         let journal =
-            Journal::start(&dir.journal(), found, index.newest_day(), options.segment_bytes, deliver)?;
+            Journal::start(&dir.journal(), found, options.segment_bytes, dir.fence().clone(), deliver)?;
         let (journal, served) = ((journal_id, lineage, journal), (worker.on.clone(), checkpoint.clone()));
         let shared = Arc::new(StoreContext::new(dir, options, journal, index, progress, served));
         if worker.on.is_some() && worker.applied >= shared.index.newest_control() {
@@ -116,6 +117,16 @@ impl EmbeddedStore {
     }
 }
 
+/// The manifest, if it is of this journal. Any other is set aside: it may be what a restored journal lacks.
+fn manifest_of(dir: &DataDir, options: &Options, journal: Uuid) -> Result<Option<Manifest>, Error> {
+    match Manifest::read(dir.root(), &options.policy)? {
+        Found::None => Ok(None),
+        Found::Sound(manifest) if manifest.journal == journal => Ok(Some(manifest)),
+        Found::Sound(_) => dir.set_aside("manifest", "a manifest of another journal").map(|()| None),
+        Found::Damaged => dir.set_aside("manifest", "a damaged manifest").map(|()| None),
+    }
+}
+
 /// Opens the generation that the manifest names. One that is damaged or gone is made anew.
 fn resume(
     dir: &DataDir,
@@ -129,16 +140,19 @@ fn resume(
     };
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
     match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
-        Ok((_, folded)) if folded > index.newest() => Err(journal_is_short(folded, index.newest())),
-        Ok((_, folded)) if folded < applied.max(index.before()) => {
-            tracing::warn!(folded, applied, "the tiles are not whole; folding them anew");
+        Ok(on) if on.folded() > index.newest() => Err(journal_is_short(on.folded(), index.newest())),
+        Ok(on) if on.folded() < applied.max(index.before()) => {
+            tracing::warn!(folded = on.folded(), applied, "the tiles are not whole; folding them anew");
             Ok(nothing)
         }
         Ok(_) if policy != options.policy.digest() => {
             tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
             Ok(nothing)
         }
-        Ok((generation, folded)) => Ok(FoldWorker { on: Some(Arc::new(generation)), applied, folded }),
+        Ok(on) => {
+            let folded = on.folded();
+            Ok(FoldWorker { on: Some(Arc::new(on)), applied, folded })
+        }
         Err(reason) => {
             tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
             Ok(nothing)
@@ -150,18 +164,12 @@ fn resume(
 fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Result<Arc<Generation>, Error> {
     let number = dir.next_generation()?;
     let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    let generation = Generation::create(&dir.generation(number), number, cache_bytes, publish)?;
+    let generation = Generation::create(&dir.generation(number), number, journal, (cache_bytes, publish))?;
     generation.load(&Checkpoint::default())?;
     generation.complete(journal)?;
     let policy = options.policy.digest();
     Manifest { journal, generation: number, applied: 0, lineage, policy }.write(dir.root())?;
     Ok(Arc::new(generation))
-}
-
-/// Does a generation hold all that it ever can, so that it showed no more before?
-fn shows_all(worker: &FoldWorker, index: &JournalIndex) -> bool {
-    let end = index.control_after(worker.applied).map_or_else(|| index.newest(), |control| control - 1);
-    worker.on.is_some() && worker.folded >= end
 }
 
 /// Tiles are folded from records on disk only, so the journal has lost some.

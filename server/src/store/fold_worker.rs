@@ -15,7 +15,9 @@ use super::vetting::Vetting;
 use super::{Error, MapStatus};
 
 /// How long folding rests after an error.
-const RETRY: Duration = Duration::from_secs(5);
+const RETRY: Duration = Duration::from_secs(2);
+/// How often an error that stays is logged.
+const REMINDER: Duration = Duration::from_secs(60);
 
 /// Where folding stands.
 pub(super) struct FoldWorker {
@@ -30,24 +32,29 @@ pub(super) struct FoldWorker {
 /// Folds until the end is called.
 pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
     let whole = shared.index.newest();
-    let mut logged = Instant::now();
+    let (mut logged, mut reminded) = (Instant::now(), None);
     let mut vetting = Vetting::new(shared.policy.vetting);
     loop {
-        let outcome = folder.step(shared, &mut vetting);
-        let rebuilding = shared.progress.borrow().state == MapStatus::Rebuilding;
-        match outcome {
+        match folder.step(shared, &mut vetting) {
             Ok(false) => return,
-            Ok(true) if !rebuilding || folder.folded >= whole => shared.set_state(MapStatus::Serving),
-            Ok(true) => {}
+            Ok(true) => {
+                if reminded.take().is_some() {
+                    tracing::info!(epoch = folder.folded, "folding goes on");
+                }
+                shared.set_state(MapStatus::Serving);
+            }
             Err(reason) => {
-                tracing::error!(%reason, "folding failed; trying again");
-                if !rebuilding {
+                if reminded.is_none_or(|last: Instant| last.elapsed() > REMINDER) {
+                    tracing::error!(%reason, "folding failed; trying again");
+                    reminded = Some(Instant::now());
+                }
+                if shared.served().is_some() {
                     shared.set_state(MapStatus::Stalled);
                 }
                 if !shared.index.pause(RETRY) {
                     return;
                 }
-                folder.look_again(shared);
+                folder.mend(shared);
             }
         }
         if folder.folded < whole && logged.elapsed() > Duration::from_secs(1) {
@@ -83,16 +90,23 @@ impl FoldWorker {
         Ok(true)
     }
 
-    /// After a failure it is uncertain what sled holds.
-    fn look_again(&mut self, shared: &StoreContext) {
-        let Some(on) = &self.on else { return };
-        match on.look_again() {
-            Ok(folded) => self.folded = folded,
+    /// After a failure: some of a group may be folded, and tiles that failed to be written need others in their place. They are
+    /// served as they were until there are.
+    fn mend(&mut self, shared: &StoreContext) {
+        let Some(on) = self.on.clone() else { return };
+        self.folded = on.folded();
+        if on.tiles.broken().is_none() {
+            return;
+        }
+        match caught(|| build::replace(shared, &on, self.applied)) {
+            Ok(fresh) => {
+                tracing::info!(epoch = self.folded, "a copy of the tiles is served in place of those that failed");
+                self.on = Some(fresh);
+            }
+            // It is too early; the next step fails again, for the same reason.
+            Err(TilesError::Store(Error::NoRoom { .. } | Error::Io { .. } | Error::Broken(_))) => {}
             Err(reason) => {
-                tracing::error!(%reason, "the tiles cannot be used any more; folding new ones");
-                shared.set_state(MapStatus::Rebuilding);
-                shared.serve(None);
-                on.retire();
+                tracing::error!(%reason, "the tiles that failed cannot be copied; folding new ones");
                 self.on = None;
             }
         }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Duration;
 
@@ -14,6 +14,7 @@ use uuid::Uuid;
 use super::attempt::{TilesError, caught};
 use super::catalog::Catalog;
 use super::checkpoint::Checkpoint;
+use super::data_dir::{mark, marked};
 use super::tiles::{TileStore, TileValue};
 use super::vetting::QuarantinedRecord;
 use super::write_buffer::{Folded, Source};
@@ -31,6 +32,8 @@ pub(super) struct Generation {
     /// See [`super::Policy::publish_contributors`].
     publish: u8,
     catalog: RwLock<Catalog>,
+    /// The last record it holds.
+    folded: AtomicU64,
     /// Declared last: goes when sled is closed.
     dir: GenerationDir,
 }
@@ -45,6 +48,10 @@ impl Drop for GenerationDir {
         if !self.retired.load(Ordering::Acquire) {
             return;
         }
+        // An instance of sled that failed keeps its file open: its room is given back all the same.
+        if let Ok(file) = fs::OpenOptions::new().write(true).open(self.path.join("db")) {
+            let _ = file.set_len(0);
+        }
         for _ in 0..REMOVALS {
             match fs::remove_dir_all(&self.path) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -58,17 +65,18 @@ impl Drop for GenerationDir {
 }
 
 impl Generation {
-    /// A new, empty generation; what is in its place is removed. It can be opened again once it is
-    /// [complete](Self::complete).
-    pub(super) fn create(path: &Path, number: u64, cache_bytes: u64, publish: u8) -> Result<Self, Error> {
-        match fs::remove_dir_all(path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(io_error("removing old tiles")(error));
-            }
-            _ => {}
-        }
-        let tiles = TileStore::open(path, cache_bytes)?;
-        Ok(Self { number, tiles, publish, catalog: RwLock::default(), dir: GenerationDir::new(path) })
+    /// A new, empty generation, marked as made from a journal; nothing may be in its place. It can be opened again once
+    /// it is [complete](Self::complete).
+    pub(super) fn create(
+        path: &Path,
+        number: u64,
+        journal: Uuid,
+        (cache_bytes, publish): (u64, u8),
+    ) -> Result<Self, Error> {
+        fs::create_dir(path).and_then(|()| mark(path, journal)).map_err(io_error("making a directory for tiles"))?;
+        let dir = GenerationDir::new(path);
+        let tiles = TileStore::open(path, cache_bytes).inspect_err(|_| dir.retired.store(true, Ordering::Release))?;
+        Ok(Self { number, tiles, publish, catalog: RwLock::default(), folded: AtomicU64::new(0), dir })
     }
 
     /// Names the journal that all of it was folded from. It is the last that is written of a new generation: one that a
@@ -77,7 +85,7 @@ impl Generation {
         self.tiles.set_journal(journal)
     }
 
-    /// A generation as it was left, and the last record it holds; `Err` says why it cannot be used. sled
+    /// A generation as it was left; `Err` says why it cannot be used. sled
     /// panics on some damaged files: that is caught here.
     pub(super) fn open(
         path: &Path,
@@ -85,7 +93,7 @@ impl Generation {
         cache_bytes: u64,
         journal: Uuid,
         publish: u8,
-    ) -> Result<(Self, u64), TilesError> {
+    ) -> Result<Self, TilesError> {
         if !path.exists() {
             return Err(TilesError::Gone);
         }
@@ -98,10 +106,13 @@ impl Generation {
             return Err(TilesError::OtherJournal);
         }
         let (catalog, folded) = caught(|| Ok(tiles.check()))??;
-        Ok((
-            Self { number, tiles, publish, catalog: RwLock::new(catalog), dir: GenerationDir::new(path) },
-            folded,
-        ))
+        if marked(path).is_none() {
+            // Of before there were markers.
+            mark(path, journal).map_err(|error| TilesError::from(io_error("marking tiles")(error)))?;
+        }
+        let dir = GenerationDir::new(path);
+        let (catalog, folded) = (RwLock::new(catalog), AtomicU64::new(folded));
+        Ok(Self { number, tiles, publish, catalog, folded, dir })
     }
 
     /// Fills an empty generation from a checkpoint.
@@ -125,7 +136,19 @@ impl Generation {
         quarantined: &[QuarantinedRecord],
         folded: u64,
     ) -> Result<(), Error> {
-        let values: Vec<_> = changed.map(|(id, folded)| TileValue::new(id, &folded, self.publish)).collect();
+        let values = changed.map(|(id, folded)| TileValue::new(id, &folded, self.publish)).collect();
+        self.put_values(values, quarantined, folded)
+    }
+
+    fn put_values(
+        &self,
+        values: Vec<TileValue>,
+        quarantined: &[QuarantinedRecord],
+        folded: u64,
+    ) -> Result<(), Error> {
+        if let Some(parent) = self.dir.path.parent() {
+            super::room::for_tiles(parent, values.iter().map(TileValue::len).sum())?;
+        }
         let infos: Vec<_> = values.iter().map(|value| value.info).collect();
         let digest = self.catalog().digest_with(&infos);
         self.tiles.put_all(values, quarantined, folded, digest)?;
@@ -133,7 +156,13 @@ impl Generation {
         for info in infos {
             catalog.put(info);
         }
+        self.folded.store(folded, Ordering::Release);
         Ok(())
+    }
+
+    /// The last record it holds.
+    pub(super) fn folded(&self) -> u64 {
+        self.folded.load(Ordering::Acquire)
     }
 
     /// Changes every tile.
@@ -155,11 +184,17 @@ impl Generation {
         Ok(())
     }
 
-    /// Reads the catalog again, after a failure that left it uncertain what is stored. Returns the last record.
-    pub(super) fn look_again(&self) -> Result<u64, TilesError> {
-        let (catalog, folded) = caught(|| Ok(self.tiles.check()))??;
-        *self.catalog_mut() = catalog;
-        Ok(folded)
+    /// Fills an empty generation with the tiles of another one, as they are.
+    pub(super) fn copy(&self, from: &Self) -> Result<(), Error> {
+        let folded = from.folded();
+        let quarantined = from.tiles.quarantined()?;
+        self.put_values(Vec::new(), &quarantined, folded)?;
+        for ids in from.ids().chunks(BATCH) {
+            let lost = |id| Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
+            let copied = |id: &TileId| from.tiles.copied(*id)?.ok_or_else(|| lost(*id));
+            self.put_values(ids.iter().map(copied).collect::<Result<_, _>>()?, &[], folded)?;
+        }
+        Ok(())
     }
 
     /// All tiles, in order.
@@ -209,11 +244,13 @@ mod tests {
     fn what_was_not_completed_is_not_opened() {
         let dir = tempfile::tempdir().unwrap();
         let (path, journal) = (dir.path().join("tiles-1"), Uuid::from_u128(5));
-        let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
+        let generation = Generation::create(&path, 1, journal, (1 << 20, 1)).unwrap();
         generation.load(&Checkpoint::default()).unwrap();
         drop(generation);
         assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_err());
-        let generation = Generation::create(&path, 1, 1 << 20, 1).unwrap();
+        assert!(Generation::create(&path, 1, journal, (1 << 20, 1)).is_err(), "nothing is removed");
+        fs::remove_dir_all(&path).unwrap();
+        let generation = Generation::create(&path, 1, journal, (1 << 20, 1)).unwrap();
         generation.load(&Checkpoint::default()).unwrap();
         generation.complete(journal).unwrap();
         drop(generation);

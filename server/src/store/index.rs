@@ -178,11 +178,6 @@ impl JournalIndex {
         self.lock().before
     }
 
-    /// Day the newest record was written on.
-    pub(super) fn newest_day(&self) -> Option<u16> {
-        self.lock().runs.last().map(|run| run.day)
-    }
-
     /// Uploads in the journal.
     pub(super) fn uploads(&self) -> u64 {
         self.lock().numbers.len() as u64

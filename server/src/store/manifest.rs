@@ -9,7 +9,7 @@
 //! ("EFM" 3) differs by its magic and by the digest, which is of a text with the code's names in it. It is read still: one
 //! that holds that digest of the policy in force is current, and replaced by one of the fourth format.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 
 use uuid::Uuid;
@@ -38,29 +38,43 @@ pub(super) struct Manifest {
     pub(super) policy: u64,
 }
 
+/// What there is in the manifest's place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Found {
+    None,
+    Sound(Manifest),
+    /// Or something else than a manifest.
+    Damaged,
+}
+
 impl Manifest {
-    /// The manifest of a data directory; `None` where there is no sound one. One of the third format that was made
-    /// under the policy in force is brought into the fourth first.
+    /// The manifest of a data directory. One of the third format that was made under the policy in force is brought into
+    /// the fourth first.
     ///
     /// # Errors
-    /// When that cannot be written.
-    pub(super) fn read(root: &Path, policy: &Policy) -> Result<Option<Self>, Error> {
-        let Ok(bytes) = std::fs::read(root.join(NAME)) else { return Ok(None) };
-        let manifest = Self::parse(&bytes, MAGIC);
-        if manifest.is_some() {
-            return Ok(manifest);
-        }
-        let Some(legacy) = Self::parse(&bytes, LEGACY_MAGIC) else {
-            tracing::warn!("the manifest is damaged");
-            return Ok(None);
+    /// When it cannot be read, or that cannot be written.
+    pub(super) fn read(root: &Path, policy: &Policy) -> Result<Found, Error> {
+        let path = root.join(NAME);
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Found::None),
+            Err(error) if path.is_dir() => {
+                tracing::warn!(%error, "there is a directory in the manifest's place");
+                return Ok(Found::Damaged);
+            }
+            Err(error) => return Err(io_error("reading the manifest")(error)),
         };
+        if let Some(manifest) = Self::parse(&bytes, MAGIC) {
+            return Ok(Found::Sound(manifest));
+        }
+        let Some(legacy) = Self::parse(&bytes, LEGACY_MAGIC) else { return Ok(Found::Damaged) };
         if legacy.policy != policy.legacy_digest() {
-            return Ok(Some(legacy));
+            return Ok(Found::Sound(legacy));
         }
         let manifest = Self { policy: policy.digest(), ..legacy };
         manifest.write(root)?;
         tracing::info!("the manifest was brought into the present format");
-        Ok(Some(manifest))
+        Ok(Found::Sound(manifest))
     }
 
     /// Puts the manifest in place: it is on disk, whole, when this returns.
@@ -111,19 +125,19 @@ mod tests {
     fn a_manifest_is_read_whole_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let policy = Policy::trusting();
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), None);
+        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::None);
         let journal = Uuid::from_u128(3);
         let manifest = Manifest { journal, generation: 4, applied: 9, lineage: 11, policy: 12 };
         manifest.write(dir.path()).unwrap();
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Some(manifest));
+        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Sound(manifest));
         let good = std::fs::read(dir.path().join(NAME)).unwrap();
         for at in 0..good.len() {
             let mut bad = good.clone();
             bad[at] ^= 32;
             std::fs::write(dir.path().join(NAME), &bad).unwrap();
-            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), None, "byte {at}");
+            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Damaged, "byte {at}");
             std::fs::write(dir.path().join(NAME), &good[..at]).unwrap();
-            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), None, "cut at {at}");
+            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Damaged, "cut at {at}");
         }
     }
 
@@ -156,11 +170,11 @@ mod tests {
         // Hard-coded: what a service of that time wrote.
         let legacy = Manifest { journal, generation: 4, applied: 9, lineage: 11, policy: LEGACY_TRUSTING };
         std::fs::write(dir.path().join(NAME), legacy.bytes(LEGACY_MAGIC)).unwrap();
-        assert_eq!(Manifest::read(dir.path(), &other).unwrap(), Some(legacy));
+        assert_eq!(Manifest::read(dir.path(), &other).unwrap(), Found::Sound(legacy));
         let bytes = std::fs::read(dir.path().join(NAME)).unwrap();
         assert_eq!(bytes[..4], LEGACY_MAGIC, "under another policy it stays");
         let current = Manifest { policy: policy.digest(), ..legacy };
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Some(current));
+        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Sound(current));
         let bytes = std::fs::read(dir.path().join(NAME)).unwrap();
         assert_eq!(Manifest::parse(&bytes, MAGIC), Some(current), "it is rewritten");
     }

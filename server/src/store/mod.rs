@@ -44,6 +44,8 @@ mod policy;
 mod quarantine;
 mod record;
 mod region;
+mod room;
+mod sled_instance;
 mod stream;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -88,6 +90,19 @@ pub enum Error {
     /// The tile store refused.
     #[error("tile store: {0}")]
     Tiles(#[from] sled::Error),
+    /// The tile store failed before, and takes nothing more. Another one is made in its place.
+    #[error("the tile store failed: {0}")]
+    Broken(String),
+    /// The disk is so full that nothing but the journal is written.
+    #[error("{free_mib} MiB are free in {dir}, and folding needs {needed_mib}; free some")]
+    NoRoom {
+        /// The data directory.
+        dir: String,
+        /// What is free, MiB.
+        free_mib: u64,
+        /// What must be, MiB.
+        needed_mib: u64,
+    },
     /// Stored bytes do not pass their checks.
     #[error("{what} is damaged: {reason}")]
     Damaged {
@@ -113,8 +128,8 @@ pub enum Error {
     /// What was given cannot be used.
     #[error("{0}")]
     Unusable(String),
-    /// The store stopped accepting writes after a failure that may have lost one.
-    #[error("the journal stopped after a write failed: {0}; restart the service once the disk is sound")]
+    /// The store accepts nothing any more: another service has its directory, or it is being closed.
+    #[error("the store stopped: {0}")]
     Stopped(String),
 }
 
@@ -226,7 +241,7 @@ pub struct MapProgress {
     /// A new generation of the map that is being made, under a control. What is served meanwhile, if
     /// anything, does not show the control yet.
     pub building: Option<Building>,
-    /// The journal accepts nothing any more until a restart, see [`Error::Stopped`].
+    /// The journal accepts nothing any more, see [`Error::Stopped`].
     pub stopped: bool,
 }
 

@@ -54,18 +54,25 @@ fn tiles_dir(dir: &Path) -> PathBuf {
 
 /// Waits until everything in the journal is folded.
 fn caught_up(store: &EmbeddedStore) {
+    wait_for(store, |p| p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none());
+}
+
+fn wait_for(store: &EmbeddedStore, done: impl Fn(MapProgress) -> bool) {
     let deadline = Instant::now() + Duration::from_secs(20);
-    let done =
-        |p: MapProgress| p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
     while !done(*store.progress().borrow()) {
-        assert!(Instant::now() < deadline, "folding does not end");
+        assert!(Instant::now() < deadline, "{:?}", *store.progress().borrow());
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
-/// Versions and bytes of all tiles.
+/// Versions and bytes of all tiles, once all is folded.
 fn map(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     caught_up(store);
+    map_of_now(store)
+}
+
+/// Versions and bytes of all tiles.
+fn map_of_now(store: &EmbeddedStore) -> BTreeMap<TileId, (u64, Vec<u8>)> {
     let all = i32::MIN..=i32::MAX;
     let infos =
         store.zones().into_iter().flat_map(|zone| store.catalog(zone, all.clone(), all.clone()).unwrap());
@@ -213,8 +220,8 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
     let tiles = tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
-    let result = work(&tiles.tree);
-    tiles.db.flush().unwrap();
+    let result = work(tiles.tree());
+    tiles.flush().unwrap();
     result
 }
 
@@ -246,6 +253,10 @@ fn a_journal_without_its_key_is_not_opened() {
     commit_all(&open(dir.path()), &some_uploads(1));
     let bytes = std::fs::read(&key).unwrap();
     std::fs::remove_file(&key).unwrap();
+    drop(open(dir.path()));
+    assert_eq!(std::fs::read(&key).unwrap(), bytes, "mended from its copy");
+    std::fs::remove_file(&key).unwrap();
+    std::fs::remove_file(dir.path().join("key-copy")).unwrap();
     match EmbeddedStore::open(&options(dir.path())) {
         Err(Error::Damaged { reason, .. }) => assert!(reason.contains("Restore it"), "{reason}"),
         _ => panic!("the missing key went unnoticed"),
@@ -255,21 +266,74 @@ fn a_journal_without_its_key_is_not_opened() {
     assert_eq!(map(&open(dir.path())), model(&some_uploads(1)));
 }
 
+/// Catches: a journal that accepts nothing until a restart, although what failed is mended.
 #[test]
-fn a_journal_that_stopped_and_folding_that_fails_are_reported() {
+fn a_journal_that_cannot_be_reached_refuses_and_goes_on_when_it_is_there_again() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path());
-    std::fs::rename(dir.path().join("journal"), dir.path().join("gone")).unwrap();
+    let (journal, gone) = (dir.path().join("journal"), dir.path().join("gone"));
     let uploads = some_uploads(200);
+    store.commit(uploads[0].clone()).unwrap();
+    caught_up(&store);
+    std::fs::rename(&journal, &gone).unwrap();
     // The open segment takes some; the next cannot be made.
-    let refused = uploads.iter().find_map(|upload| store.commit(upload.clone()).err()).unwrap();
-    assert!(matches!(refused, Error::Stopped(_)), "{refused}");
+    let count = |upload: &&UploadRecord| store.commit((*upload).clone()).is_ok();
+    let taken = uploads[1..].iter().take_while(count).count();
+    assert!(matches!(store.commit(uploads[taken + 1].clone()), Err(Error::Io { .. })));
+    wait_for(&store, |progress| progress.state == MapStatus::Stalled);
+    assert!(!map_of_now(&store).is_empty(), "what was folded is served");
+    std::fs::rename(&gone, &journal).unwrap();
+    commit_all(&store, &uploads[taken + 1..]);
+    assert_eq!(map(&store), model(&uploads));
+    drop(store);
+    assert_eq!(map(&open(dir.path())), model(&uploads));
+}
+
+/// Catches: two services that acknowledge the same epoch, and a journal that does not open after it.
+#[test]
+fn a_service_that_lost_its_directory_stops_acknowledging() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = some_uploads(20);
+    commit_all(&store, &uploads[..10]);
+    caught_up(&store);
+    // As another service does that no lock keeps out, before it reads the journal.
+    std::fs::remove_file(dir.path().join("writer")).unwrap();
+    assert!(matches!(store.commit(uploads[10].clone()), Err(Error::Stopped(_))));
     assert!(store.progress().borrow().stopped);
-    let deadline = Instant::now() + Duration::from_secs(20);
-    while store.progress().borrow().state != MapStatus::Stalled {
-        assert!(Instant::now() < deadline, "folding goes on without a journal");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    drop(store);
+    let store = open(dir.path());
+    commit_all(&store, &uploads[11..]);
+    let taken = store.totals().uploads;
+    assert!((19..=20).contains(&taken), "{taken}");
+}
+
+/// Catches: a crash that keeps the map from being read until all that was journaled is folded.
+#[test]
+fn the_last_good_epoch_is_served_while_the_rest_is_folded() {
+    let (dir, old) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let uploads = some_uploads(400);
+    let store = open(dir.path());
+    commit_all(&store, &uploads[..10]);
+    let before = map(&store);
+    drop(store);
+    copies::copy_dir(&tiles_dir(dir.path()), &old.path().join("tiles"));
+    let store = open(dir.path());
+    commit_all(&store, &uploads[10..]);
+    let after = map(&store);
+    drop(store);
+    // As after a crash that took back what sled had not synced.
+    let tiles = tiles_dir(dir.path());
+    std::fs::remove_dir_all(&tiles).unwrap();
+    std::fs::rename(old.path().join("tiles"), tiles).unwrap();
+    let store = open(dir.path());
+    let progress = *store.progress().borrow();
+    assert_eq!(progress.state, MapStatus::Serving);
+    assert_eq!(progress.journaled, 400);
+    let (id, (version, _)) = before.iter().next().unwrap();
+    let served = store.tile(*id).unwrap().unwrap();
+    assert!(served.version >= *version, "what is served is not older than it was");
+    assert_eq!(map(&store), after);
 }
 
 #[test]

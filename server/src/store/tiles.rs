@@ -9,22 +9,22 @@
 //! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
 //! ```
 
-use std::fs::{File, TryLockError};
+use std::collections::HashMap;
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
-use std::time::{Duration, Instant};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockWriteGuard};
 
 use echofix_core::geo::TileId;
 use echofix_core::tile::{self, Tile};
 use sled::IVec;
 use uuid::Uuid;
 
-use super::attempt::TilesError;
+use super::attempt::{TilesError, caught};
 use super::catalog::Catalog;
 use super::checksum::{SUM, seal, sealed};
 use super::key::key;
 use super::vetting::QuarantinedRecord;
 use super::write_buffer::{Folded, Source};
+use super::sled_instance::Sled;
 use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.
@@ -33,13 +33,15 @@ const JOURNAL: &[u8] = b"journal";
 const STATE: &[u8] = b"state";
 /// Bytes of a value between its checksum and the tile.
 const HEAD: usize = 18;
-/// How long a dropped instance may take to let go.
-const LOCK_WAIT: Duration = Duration::from_secs(10);
 
-/// The tile store.
+/// The tile store. Once sled refused a write it is broken: nothing more is written, and what is read is as it was before.
 pub(super) struct TileStore {
-    pub(super) db: sled::Db,
-    pub(super) tree: sled::Tree,
+    /// Apart, because after an error it must not be dropped: see [`Sled::drop`].
+    sled: Sled,
+    /// Why nothing is written any more.
+    broken: OnceLock<String>,
+    /// Values as they were before a write that failed, of which sled may hold any part; `None` for what was not there.
+    before: RwLock<HashMap<TileId, Option<Vec<u8>>>>,
     /// Held by who changes tiles, and by who must see them all of one time.
     changing: Mutex<()>,
     /// Held for writing while a batch is applied: no reader sees half of a tile's pieces.
@@ -48,19 +50,22 @@ pub(super) struct TileStore {
 
 impl TileStore {
     pub(super) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        wait_until_unlocked(dir);
-        let db = pieces::config(dir, cache_bytes).open()?;
-        let tree = db.open_tree("tiles")?;
-        Ok(Self { db, tree, changing: Mutex::default(), whole: RwLock::default() })
+        Ok(Self {
+            sled: Sled::open(dir, cache_bytes)?,
+            broken: OnceLock::new(),
+            before: RwLock::default(),
+            changing: Mutex::default(),
+            whole: RwLock::default(),
+        })
     }
 
     /// The journal these tiles were folded from; `None` in a new store.
     pub(super) fn journal(&self) -> Result<Option<Uuid>, Error> {
-        Ok(self.db.get(JOURNAL)?.map(|bytes| Uuid::from_slice(&bytes).unwrap_or_default()))
+        Ok(self.sled.db().get(JOURNAL)?.map(|bytes| Uuid::from_slice(&bytes).unwrap_or_default()))
     }
 
     pub(super) fn set_journal(&self, journal: Uuid) -> Result<(), Error> {
-        self.db.insert(JOURNAL, &journal.as_bytes()[..])?;
+        self.noticed(self.sled.db().insert(JOURNAL, &journal.as_bytes()[..]))?;
         Ok(())
     }
 
@@ -69,7 +74,7 @@ impl TileStore {
         let _unchanged = self.changing();
         let mut catalog = Catalog::default();
         let mut after = IVec::default();
-        while let Some((key, _)) = self.tree.get_gt(&after).map_err(Error::from)? {
+        while let Some((key, _)) = self.tree().get_gt(&after).map_err(Error::from)? {
             after = if let Some(id) = pieces::tile_of(&key) {
                 let value = self.value(id)?.unwrap_or_default();
                 catalog.put(parse(id, &value)?.info);
@@ -80,7 +85,7 @@ impl TileStore {
                 return Err(TilesError::UnknownKey(key.to_vec()));
             };
         }
-        match self.tree.get(STATE).map_err(Error::from)? {
+        match self.tree().get(STATE).map_err(Error::from)? {
             None => Err(TilesError::NoState),
             Some(state) => match parse_state(&state) {
                 Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
@@ -105,7 +110,8 @@ impl TileStore {
         Ok(Some((value.info.version, value.tile.to_vec())))
     }
 
-    /// Puts tiles, the uploads that were quarantined, and how far the tiles go, all or none.
+    /// Puts tiles, the uploads that were quarantined, and how far the tiles go, all or none, and brings them to disk.
+    /// After a failure the store is [broken](Self::broken), and shows what it showed before.
     pub(super) fn put_all(
         &self,
         values: Vec<TileValue>,
@@ -114,18 +120,59 @@ impl TileStore {
         digest: u64,
     ) -> Result<(), Error> {
         let _changing = self.changing();
+        if let Some(reason) = self.broken() {
+            return Err(Error::Broken(reason.to_owned()));
+        }
         let mut batch = sled::Batch::default();
+        let mut before = HashMap::with_capacity(values.len());
         for TileValue { bytes, info } in values {
-            pieces::put(&self.tree, &mut batch, info.id, &bytes)?;
+            before.insert(info.id, self.value(info.id)?);
+            pieces::put(self.tree(), &mut batch, info.id, &bytes)?;
         }
         for quarantined in quarantined {
             batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
         }
         batch.insert(STATE, state(folded, digest));
-        // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
-        let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
-        self.tree.apply_batch(batch)?;
+        let applied = {
+            // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
+            let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
+            // Shown until all is on disk, so that nobody sees what a failure takes back.
+            *self.before_mut() = before;
+            caught(|| Ok(self.tree().apply_batch(batch)?))
+        };
+        let flushed = applied.and_then(|()| caught(|| Ok(self.sled.db().flush().map(drop)?)));
+        if let Err(error) = flushed {
+            let _ = self.broken.set(error.to_string());
+            self.sled.give_up();
+            return Err(Error::Broken(error.to_string()));
+        }
+        self.before_mut().clear();
         Ok(())
+    }
+
+    /// Why nothing is written any more; `None` while all is well.
+    pub(super) fn broken(&self) -> Option<&str> {
+        self.broken.get().map(String::as_str)
+    }
+
+    pub(super) fn tree(&self) -> &sled::Tree {
+        self.sled.tree()
+    }
+
+    /// The values of all tiles, as they are to be read, for a copy.
+    pub(super) fn copied(&self, id: TileId) -> Result<Option<TileValue>, Error> {
+        let Some(bytes) = self.value(id)? else { return Ok(None) };
+        let info = parse(id, &bytes)?.info;
+        Ok(Some(TileValue { bytes, info }))
+    }
+
+    /// Remembers that sled failed.
+    fn noticed<T>(&self, outcome: Result<T, sled::Error>) -> Result<T, Error> {
+        outcome.map_err(|error| {
+            let _ = self.broken.set(error.to_string());
+            self.sled.give_up();
+            Error::from(error)
+        })
     }
 
     /// The quarantined uploads, oldest first.
@@ -134,7 +181,7 @@ impl TileStore {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
         };
-        let notes = self.tree.scan_prefix(quarantine::PREFIX).map(|entry| {
+        let notes = self.tree().scan_prefix(quarantine::PREFIX).map(|entry| {
             let (key, value) = entry?;
             quarantine::decode(&key, &value).ok_or_else(damaged)
         });
@@ -143,13 +190,20 @@ impl TileStore {
 
     /// Asks sled to bring everything to disk.
     pub(super) fn flush(&self) -> Result<(), Error> {
-        self.db.flush()?;
+        self.noticed(self.sled.db().flush())?;
         Ok(())
     }
 
     fn value(&self, id: TileId) -> Result<Option<Vec<u8>>, Error> {
         let _whole = self.whole.read().unwrap_or_else(PoisonError::into_inner);
-        pieces::get(&self.tree, id)
+        if let Some(before) = self.before.read().unwrap_or_else(PoisonError::into_inner).get(&id) {
+            return Ok(before.clone());
+        }
+        pieces::get(self.tree(), id)
+    }
+
+    fn before_mut(&self) -> RwLockWriteGuard<'_, HashMap<TileId, Option<Vec<u8>>>> {
+        self.before.write().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn changing(&self) -> MutexGuard<'_, ()> {
@@ -174,6 +228,11 @@ pub(super) struct TileValue {
 }
 
 impl TileValue {
+    /// Bytes that are stored.
+    pub(super) fn len(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
     /// Of its cells those count that are served when `publish` contributors are asked for.
     pub(super) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
         let encoded = tile::encode(&folded.tile);
@@ -208,19 +267,6 @@ fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
     let rest: &[u8; 16] = sealed(bytes, STATE)?.try_into().ok()?;
     let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| rest[at + i]));
     Some((word(0), word(8)))
-}
-
-/// Waits while an instance of this process that was just dropped still holds the files: sled's threads end a little
-/// later, and with them its lock goes. No other process has them, see [`super::data_dir`], and who drops an instance
-/// to open the next is one thread. So a lock that could be had for a moment here is free for sled. What is held for
-/// longer, sled itself refuses.
-fn wait_until_unlocked(dir: &Path) {
-    // sled 0.34 holds the lock of flock(2), as `File::try_lock` takes it, on this file.
-    let Ok(file) = File::open(dir.join("db")) else { return };
-    let began = Instant::now();
-    while matches!(file.try_lock(), Err(TryLockError::WouldBlock)) && began.elapsed() < LOCK_WAIT {
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// A value whose checksum matches.
@@ -290,43 +336,26 @@ mod tests {
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
-            let pieces: Vec<_> = tiles.tree.scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
+            let pieces: Vec<_> = tiles.tree().scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
             prop_assert!(pieces.len() > 2);
             let key = if of_state { IVec::from(STATE) } else { pieces[piece.index(pieces.len())].clone() };
-            let good = tiles.tree.get(&key).unwrap().unwrap();
+            let good = tiles.tree().get(&key).unwrap().unwrap();
             let at = at.index(good.len());
             let mut bad = good.to_vec();
             bad[at] ^= 1_u8 << bit;
             for bad in [Some(&bad[..]), Some(&good[..at]), None] {
                 match bad {
-                    Some(bad) => drop(tiles.tree.insert(&key, bad).unwrap()),
-                    None => drop(tiles.tree.remove(&key).unwrap()),
+                    Some(bad) => drop(tiles.tree().insert(&key, bad).unwrap()),
+                    None => drop(tiles.tree().remove(&key).unwrap()),
                 }
                 prop_assert!(tiles.check().is_err());
                 let damaged = |error| matches!(error, Some(Error::Damaged { .. }));
                 prop_assert!(of_state || damaged(tiles.stored(id(-1)).err()));
                 prop_assert!(of_state || damaged(tiles.folded(id(-1)).err()));
             }
-            tiles.tree.insert(&key, good).unwrap();
+            tiles.tree().insert(&key, good).unwrap();
             prop_assert!(tiles.check().is_ok());
         }
-    }
-
-    /// Breaks it: not waiting for sled's threads, or for a lock of another file than sled's.
-    #[test]
-    fn an_instance_that_goes_is_waited_for() {
-        let dir = tempfile::tempdir().unwrap();
-        let first = TileStore::open(dir.path(), 1 << 20).unwrap();
-        assert!(pieces::config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
-        let held = Duration::from_millis(200);
-        let began = Instant::now();
-        let goes = std::thread::spawn(move || {
-            std::thread::sleep(held);
-            drop(first);
-        });
-        assert!(TileStore::open(dir.path(), 1 << 20).is_ok());
-        assert!(began.elapsed() >= held);
-        goes.join().unwrap();
     }
 
     #[test]
@@ -336,15 +365,15 @@ mod tests {
         let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
         tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        let (at, piece) = tiles.tree.scan_prefix(key(id(1))).next().unwrap().unwrap();
-        tiles.tree.remove(&at).unwrap();
+        let (at, piece) = tiles.tree().scan_prefix(key(id(1))).next().unwrap().unwrap();
+        tiles.tree().remove(&at).unwrap();
         assert!(tiles.check().is_err());
-        tiles.tree.insert(&at, piece).unwrap();
+        tiles.tree().insert(&at, piece).unwrap();
         assert!(tiles.check().is_ok());
-        tiles.tree.insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
+        tiles.tree().insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
         assert!(tiles.check().is_err(), "a tile as it was stored before there were pieces");
-        tiles.tree.remove(key(id(1))).unwrap();
-        tiles.tree.insert(&at, value(1, 2, 1).bytes).unwrap();
+        tiles.tree().remove(key(id(1))).unwrap();
+        tiles.tree().insert(&at, value(1, 2, 1).bytes).unwrap();
         assert!(tiles.check().is_err());
     }
 }

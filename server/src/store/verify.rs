@@ -29,6 +29,7 @@ impl EmbeddedStore {
         let mut found = Verified::default();
         self.verify_journal(&mut found);
         self.verify_checkpoint(&mut found);
+        found.damage.extend(self.shared.dir.key_damage());
         verify_tiles(&*self.shared.readable()?, &mut found);
         if replay {
             self.compare(&mut found)?;

@@ -2,11 +2,12 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use uuid::Uuid;
 
 use super::segment::{self, HEADER};
+use crate::store::data_dir::replaced;
 use crate::store::{Error, io_error};
 
 /// An append-only file. A trait so that tests can make the disk fail.
@@ -34,40 +35,28 @@ impl Medium for File {
     }
 }
 
-/// The newest segment, its records up to `length` on disk.
+/// The segment that is written, its records up to `length` on disk.
 pub(super) struct LogSegment {
-    pub(super) dir: PathBuf,
-    pub(super) journal: Uuid,
     pub(super) first: u64,
     pub(super) length: u64,
     pub(super) medium: Box<dyn Medium>,
 }
 
 impl LogSegment {
-    /// A new, empty segment: its header and its name are on disk.
+    /// A new, empty segment: its header and its name are on disk. One of the same name holds no record that anybody was
+    /// told of; what a server that lost the directory still writes to it goes nowhere.
     pub(super) fn create(dir: &Path, journal: Uuid, first: u64) -> Result<Self, Error> {
         let path = segment::path(dir, first);
-        let mut file = OpenOptions::new()
-            .create_new(true)
-            .append(true)
-            .open(path)
-            .map_err(io_error("creating a journal segment"))?;
-        let write = |file: &mut File| {
-            file.write_all(&segment::header(journal, first))?;
-            file.sync_all()?;
-            File::open(dir)?.sync_all()
-        };
-        write(&mut file).map_err(io_error("creating a journal segment"))?;
-        Ok(Self { dir: dir.to_owned(), journal, first, length: HEADER as u64, medium: Box::new(file) })
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let file = replaced(dir, &name, &segment::header(journal, first));
+        let file = file.map_err(io_error("creating a journal segment"))?;
+        Ok(Self { first, length: HEADER as u64, medium: Box::new(file) })
     }
+}
 
-    /// The newest segment of a journal, without what lies behind `length`.
-    pub(super) fn reopen(dir: &Path, journal: Uuid, first: u64, length: u64) -> Result<Self, Error> {
-        let path = segment::path(dir, first);
-        let file = OpenOptions::new().append(true).open(path);
-        let mut file = file.map_err(io_error("opening a journal segment"))?;
-        // Also brings to disk what an earlier process wrote and did not live to sync.
-        file.cut(length).map_err(io_error("cutting a torn write off the journal"))?;
-        Ok(Self { dir: dir.to_owned(), journal, first, length, medium: Box::new(file) })
-    }
+/// Cuts a torn write off a segment, and brings to disk what an earlier process wrote and did not live to sync.
+pub(super) fn settle(dir: &Path, first: u64, length: u64) -> Result<(), Error> {
+    let file = OpenOptions::new().append(true).open(segment::path(dir, first));
+    let mut file = file.map_err(io_error("opening a journal segment"))?;
+    file.cut(length).map_err(io_error("cutting a torn write off the journal"))
 }

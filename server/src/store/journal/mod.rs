@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 use tracing::Span;
 use uuid::Uuid;
 
+use super::data_dir::Fence;
 use super::entry::RecordMeta;
 use super::faults::{Fault, fault};
 use super::{Error, io_error};
@@ -63,7 +64,6 @@ pub(super) struct Journal {
 /// The journal as it was found on disk.
 pub(super) struct RecoveredJournal {
     id: Uuid,
-    segment: LogSegment,
     next: u64,
 }
 
@@ -92,11 +92,13 @@ impl Journal {
         drop_unfinished(dir, &mut firsts)?;
         let Some(&newest) = firsts.last() else {
             let id = Uuid::now_v7();
-            return Ok(RecoveredJournal { id, segment: LogSegment::create(dir, id, 1)?, next: 1 });
+            LogSegment::create(dir, id, 1)?;
+            return Ok(RecoveredJournal { id, next: 1 });
         };
         // Older ones were compacted: whether something covers them, the store knows.
         let (mut id, mut next, mut length) = (None, firsts[0], 0);
-        for first in firsts {
+        let ends = firsts.iter().skip(1).copied().map(Some).chain([None]);
+        for (first, end) in firsts.iter().copied().zip(ends) {
             let path = segment::path(dir, first);
             let bytes = fs::read(&path).map_err(io_error("reading a journal segment"))?;
             let header = segment::parse_header(&bytes).filter(|(_, named)| *named == first);
@@ -106,7 +108,7 @@ impl Journal {
             }
             id = Some(journal);
             let mut result = Ok(());
-            let sound = recover::walk(&bytes, first, first == newest, |offset, record| {
+            let sound = recover::walk(&bytes, first, end, |offset, record| {
                 let offset = (offset + segment::RECORD_HEADER) as u32;
                 let at = RecordPosition { segment: first, offset, length: record.payload.len() as u32 };
                 if result.is_ok() {
@@ -116,12 +118,19 @@ impl Journal {
             .map_err(|damage| damaged(&path, damage.at, damage.reason))?;
             result?;
             if sound.length < bytes.len() {
-                tracing::warn!(segment = %path.display(), bytes = bytes.len() - sound.length, "cut off a torn write");
+                let left = bytes.len() - sound.length;
+                tracing::warn!(segment = %path.display(), left, "left out a write that was never acknowledged");
             }
             (next, length) = (sound.next, sound.length);
         }
         let id = id.unwrap_or_default();
-        Ok(RecoveredJournal { id, segment: LogSegment::reopen(dir, id, newest, length as u64)?, next })
+        medium::settle(dir, newest, length as u64)?;
+        Ok(RecoveredJournal { id, next })
+    }
+
+    /// Is there any segment?
+    pub(super) fn has_segments(dir: &Path) -> Result<bool, Error> {
+        Ok(dir.is_dir() && !segments(dir)?.is_empty())
     }
 
     /// Does a journal hold anything beyond its headers?
@@ -135,17 +144,20 @@ impl Journal {
         Ok(false)
     }
 
-    /// Starts writing; `day` is the one the newest record was written on. `deliver` gets every
+    /// Starts writing, into a segment of its own: the ones that were found stay as they are. `deliver` gets every
     /// record in order, once it is on disk and before its append returns.
     pub(super) fn start(
         dir: &Path,
         found: RecoveredJournal,
-        day: Option<u16>,
         segment_bytes: u64,
+        fence: Fence,
         deliver: impl FnMut(RecordMeta, Written) + Send + 'static,
     ) -> Result<Self, Error> {
         let (sender, receiver) = mpsc::channel();
-        let writer = JournalWriter::new(found.segment, found.next, day, segment_bytes, Box::new(deliver));
+        let (segments, id) = (dir.to_owned(), found.id);
+        let create = move |first| LogSegment::create(&segments, id, first);
+        let disk = writer::Disk { create: Box::new(create), still_ours: Box::new(move || fence.check()) };
+        let writer = JournalWriter::new(disk, found.next, segment_bytes, Box::new(deliver));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
         Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
@@ -276,7 +288,7 @@ fn segments(dir: &Path) -> Result<Vec<u64>, Error> {
     let mut firsts = Vec::new();
     for entry in fs::read_dir(dir).map_err(io_error("listing the journal"))? {
         let path = entry.map_err(io_error("listing the journal"))?.path();
-        if let Some(first) = segment::first_of(&path) {
+        if let Some(first) = segment::first_of(&path).filter(|_| path.is_file()) {
             firsts.push(first);
         } else {
             tracing::warn!(file = %path.display(), "ignoring a stray file in the journal");

@@ -24,15 +24,17 @@ pub(super) struct Damage {
 }
 
 /// Walks over the records of a segment whose first record must be `first`, giving each with its
-/// offset. Only the `last` segment may end in a torn write.
+/// offset. `end` is the first record of the segment after it; only the last one, which has none, may end in a torn write.
+/// What lies behind the record before `end` was never acknowledged: a write that failed, or one of a server that had lost
+/// the directory. Whoever began the next segment had not seen it on disk.
 pub(super) fn walk(
     bytes: &[u8],
     first: u64,
-    last: bool,
+    end: Option<u64>,
     mut visit: impl FnMut(usize, &FramedRecord<'_>),
 ) -> Result<Sound, Damage> {
     let mut sound = Sound { next: first, length: HEADER };
-    while sound.length < bytes.len() {
+    while sound.length < bytes.len() && end != Some(sound.next) {
         let rest = &bytes[sound.length..];
         match segment::parse_record(rest) {
             Some(record) if record.number == sound.next => {
@@ -40,7 +42,7 @@ pub(super) fn walk(
                 sound = Sound { next: sound.next + 1, length: sound.length + record.len() };
             }
             Some(_) => return Err(Damage { at: sound.length, reason: "a record is out of order" }),
-            None if last && !proves_damage(rest, sound.next) => return Ok(sound),
+            None if end.is_none() && !proves_damage(rest, sound.next) => return Ok(sound),
             None => return Err(Damage { at: sound.length, reason: "a record does not match its checksum" }),
         }
     }
@@ -77,8 +79,8 @@ mod tests {
         (bytes, ends)
     }
 
-    fn walked(bytes: &[u8], last: bool) -> Result<Sound, Damage> {
-        walk(bytes, 1, last, |_, _| {})
+    fn walked(bytes: &[u8], end: Option<u64>) -> Result<Sound, Damage> {
+        walk(bytes, 1, end, |_, _| {})
     }
 
     #[test]
@@ -87,11 +89,11 @@ mod tests {
         for length in HEADER..bytes.len() {
             let whole = ends.iter().filter(|end| **end <= length).count() - 1;
             let sound = Sound { next: whole as u64 + 1, length: ends[whole] };
-            assert_eq!(walked(&bytes[..length], true), Ok(sound));
+            assert_eq!(walked(&bytes[..length], None), Ok(sound));
             if ends.contains(&length) {
                 continue;
             }
-            assert!(walked(&bytes[..length], false).is_err(), "only the last segment may be torn");
+            assert!(walked(&bytes[..length], Some(5)).is_err(), "only the last segment may be torn");
         }
     }
 
@@ -102,7 +104,7 @@ mod tests {
             let mut bad = bytes.clone();
             bad[at] ^= 1;
             let record = ends.iter().filter(|end| **end <= at).count() - 1;
-            let outcome = walked(&bad, true);
+            let outcome = walked(&bad, None);
             if record < 3 {
                 assert_eq!(outcome.map_err(|d| d.at), Err(ends[record]), "byte {at}");
             } else {
@@ -115,6 +117,17 @@ mod tests {
     fn a_group_whose_pages_reached_the_disk_out_of_order_is_torn_not_damaged() {
         let (mut bytes, ends) = written(&[&[b"one"], &[b"two", b"three"]]);
         bytes[ends[1]..ends[2]].fill(0);
-        assert_eq!(walked(&bytes, true), Ok(Sound { next: 2, length: ends[1] }));
+        assert_eq!(walked(&bytes, None), Ok(Sound { next: 2, length: ends[1] }));
+    }
+
+    /// Catches: a journal that does not open because of what a failed write or a fenced server left behind.
+    #[test]
+    fn what_lies_behind_the_beginning_of_the_next_segment_does_not_count() {
+        let (mut bytes, ends) = written(&[&[b"one"], &[b"two"], &[b"three"]]);
+        assert_eq!(walked(&bytes, Some(3)), Ok(Sound { next: 3, length: ends[2] }));
+        bytes.truncate(ends[2] + 5);
+        assert_eq!(walked(&bytes, Some(3)), Ok(Sound { next: 3, length: ends[2] }), "torn");
+        bytes[ends[1]] ^= 1;
+        assert!(walked(&bytes, Some(3)).is_err(), "what was acknowledged must be sound");
     }
 }

@@ -30,8 +30,18 @@ pub(super) struct Append {
 /// Gets every record once it is on disk.
 type Deliver = Box<dyn FnMut(RecordMeta, Written) + Send>;
 
+/// What the writer asks of the disk.
+pub(super) struct Disk {
+    /// Makes the segment whose first record has this number.
+    pub(super) create: Box<dyn FnMut(u64) -> Result<LogSegment, Error> + Send>,
+    /// Did nobody else take the directory over? Asked after each sync, see [`crate::store::data_dir::Fence`].
+    pub(super) still_ours: Box<dyn Fn() -> Result<(), Error> + Send>,
+}
+
 pub(super) struct JournalWriter {
-    segment: LogSegment,
+    disk: Disk,
+    /// `None` before the first record, and when it is not known what the file holds: then the next record begins another.
+    segment: Option<LogSegment>,
     /// Number of the next record.
     next: u64,
     /// Day the newest record was written on.
@@ -42,23 +52,17 @@ pub(super) struct JournalWriter {
     stopped: Option<String>,
 }
 
-/// Why a group is not on disk.
+/// Why a group is not on disk, or must not be acknowledged.
 enum WriteFailure {
-    /// The file is as it was: the next group may succeed.
+    /// The next group may succeed.
     Refused(io::Error),
-    /// It is unknown what the file holds.
-    Unknown(String),
+    /// Another server has the directory.
+    Fenced(String),
 }
 
 impl JournalWriter {
-    pub(super) fn new(
-        segment: LogSegment,
-        next: u64,
-        day: Option<u16>,
-        segment_bytes: u64,
-        deliver: Deliver,
-    ) -> Self {
-        Self { segment, next, day, segment_bytes, deliver, stopped: None }
+    pub(super) fn new(disk: Disk, next: u64, segment_bytes: u64, deliver: Deliver) -> Self {
+        Self { disk, segment: None, next, day: None, segment_bytes, deliver, stopped: None }
     }
 
     /// Writes until every sender is gone.
@@ -88,8 +92,8 @@ impl JournalWriter {
             std::thread::sleep(std::time::Duration::from_millis(20));
         }
         let written = match &self.stopped {
-            Some(reason) => Err(WriteFailure::Unknown(reason.clone())),
-            None => self.roll(&group[0]).and_then(|()| self.write(&group)),
+            Some(reason) => Err(WriteFailure::Fenced(reason.clone())),
+            None => self.segment_for(&group[0]).and_then(|segment| self.write(segment, &group)),
         };
         match written {
             Ok(written) => {
@@ -107,11 +111,11 @@ impl JournalWriter {
     fn refuse(&mut self, group: Vec<Append>, failure: &WriteFailure) {
         match failure {
             WriteFailure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
-            WriteFailure::Unknown(reason) if self.stopped.is_none() => {
+            WriteFailure::Fenced(reason) if self.stopped.is_none() => {
                 tracing::error!(reason, "the journal stopped accepting writes");
                 self.stopped = Some(reason.clone());
             }
-            WriteFailure::Unknown(_) => {}
+            WriteFailure::Fenced(_) => {}
         }
         for append in group {
             let error = match failure {
@@ -120,65 +124,75 @@ impl JournalWriter {
                     let source = io::Error::new(error.kind(), error.to_string());
                     Error::Io { doing: "writing the journal", source }
                 }
-                WriteFailure::Unknown(reason) => Error::Stopped(reason.clone()),
+                WriteFailure::Fenced(reason) => Error::Stopped(reason.clone()),
             };
             append.span.in_scope(|| tracing::warn!("a record was not written"));
             let _ = append.done.send(Err(error));
         }
     }
 
-    /// Starts a new segment when the current one is full or of another day.
-    fn roll(&mut self, first: &Append) -> Result<(), WriteFailure> {
+    /// The segment to write to: a new one when there is none, or the current one is full or of another day. It is taken out;
+    /// what is known to be sound is put back.
+    fn segment_for(&mut self, first: &Append) -> Result<LogSegment, WriteFailure> {
         let another_day = self.day.is_some_and(|day| day != first.meta.day);
-        let full = self.segment.length >= self.segment_bytes;
-        if !full && (self.segment.first == self.next || !(another_day || first.fresh)) {
-            return Ok(());
+        if let Some(segment) = self.segment.take() {
+            let full = segment.length >= self.segment_bytes;
+            if !full && (segment.first == self.next || !(another_day || first.fresh)) {
+                return Ok(segment);
+            }
         }
-        let LogSegment { dir, journal, .. } = &self.segment;
-        match LogSegment::create(dir, *journal, self.next) {
-            Ok(segment) => self.segment = segment,
-            // Half a segment may be there now: a restart removes it.
-            Err(error) => return Err(WriteFailure::Unknown(error.to_string())),
-        }
-        Ok(())
+        // The one before is never written to again. Where this fails, nothing is lost: the next group tries again.
+        (self.disk.create)(self.next).map_err(|error| match error {
+            Error::Io { source, .. } => WriteFailure::Refused(source),
+            other => WriteFailure::Refused(io::Error::other(other.to_string())),
+        })
     }
 
-    fn write(&mut self, group: &[Append]) -> Result<Vec<Written>, WriteFailure> {
+    /// Writes a group to a segment. After a failure that leaves it unknown what the file holds, the segment is given up:
+    /// the next one begins with the number that this group was to have, so that what may be left of it does not count.
+    fn write(&mut self, mut segment: LogSegment, group: &[Append]) -> Result<Vec<Written>, WriteFailure> {
         let synced = self.next - 1;
         let mut bytes = Vec::with_capacity(group.iter().map(|a| RECORD_HEADER + a.payload.len()).sum());
         let mut written = Vec::with_capacity(group.len());
         for (number, append) in (self.next..).zip(group) {
-            let offset = self.segment.length + (bytes.len() + RECORD_HEADER) as u64;
+            let offset = segment.length + (bytes.len() + RECORD_HEADER) as u64;
             segment::put_record(&mut bytes, number, synced, &append.payload);
             let length = append.payload.len() as u32;
-            let at = RecordPosition { segment: self.segment.first, offset: offset as u32, length };
+            let at = RecordPosition { segment: segment.first, offset: offset as u32, length };
             written.push(Written { number, at });
         }
-        if let Err(error) = self.segment.medium.append(&bytes) {
+        if let Err(error) = segment.medium.append(&bytes) {
             // A full disk refuses here. Nothing of the group may stay: it would be read as written.
-            return Err(match self.segment.medium.cut(self.segment.length) {
-                Ok(()) => WriteFailure::Refused(error),
-                Err(cut) => WriteFailure::Unknown(format!("{error}; {cut}")),
-            });
+            if segment.medium.cut(segment.length).is_ok() {
+                self.segment = Some(segment);
+            }
+            return Err(WriteFailure::Refused(error));
         }
         if fault() != Some(Fault::AckBeforeSync) {
-            // After a failed sync the kernel may have dropped the pages: no second sync can be believed.
-            self.segment.medium.sync().map_err(|error| WriteFailure::Unknown(error.to_string()))?;
+            // After a failed sync the kernel may have dropped the pages: no second sync of this file can be believed.
+            segment.medium.sync().map_err(WriteFailure::Refused)?;
         }
-        self.segment.length += bytes.len() as u64;
+        (self.disk.still_ours)().map_err(|error| match error {
+            Error::Stopped(reason) => WriteFailure::Fenced(reason),
+            other => WriteFailure::Refused(io::Error::other(other.to_string())),
+        })?;
+        segment.length += bytes.len() as u64;
         self.next += group.len() as u64;
+        self.segment = Some(segment);
         Ok(written)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
     use std::sync::mpsc;
     use std::sync::{Arc, Mutex};
 
     use uuid::Uuid;
 
     use super::super::medium::Medium;
+    use super::super::recover;
     use super::*;
     use crate::store::entry::RecordSubject;
 
@@ -188,76 +202,141 @@ mod tests {
 
     #[derive(Default)]
     struct Faults {
-        bytes: Vec<u8>,
+        /// The segments, by their first record.
+        segments: BTreeMap<u64, Vec<u8>>,
         append_fails: bool,
         sync_fails: bool,
         cut_fails: bool,
+        create_fails: bool,
+        taken_over: bool,
     }
 
-    impl Medium for Faulty {
+    /// A segment of it.
+    struct FaultySegment(Faulty, u64);
+
+    impl Medium for FaultySegment {
         fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-            let mut disk = self.0.lock().unwrap();
+            let mut disk = self.0.0.lock().unwrap();
             let taken = if disk.append_fails { bytes.len() / 2 } else { bytes.len() };
-            disk.bytes.extend_from_slice(&bytes[..taken]);
+            disk.segments.get_mut(&self.1).unwrap().extend_from_slice(&bytes[..taken]);
             if disk.append_fails { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
         }
 
         fn sync(&mut self) -> io::Result<()> {
-            if self.0.lock().unwrap().sync_fails { Err(io::Error::other("I/O error")) } else { Ok(()) }
+            if self.0.0.lock().unwrap().sync_fails { Err(io::Error::other("I/O error")) } else { Ok(()) }
         }
 
         fn cut(&mut self, length: u64) -> io::Result<()> {
-            let mut disk = self.0.lock().unwrap();
+            let mut disk = self.0.0.lock().unwrap();
             if disk.cut_fails {
                 return Err(io::Error::other("cut failed"));
             }
-            disk.bytes.truncate(length as usize);
+            disk.segments.get_mut(&self.1).unwrap().truncate(length as usize);
             Ok(())
         }
     }
 
-    fn writer(disk: &Faulty) -> JournalWriter {
-        let medium = Box::new(disk.clone());
-        let segment = LogSegment { dir: "nowhere".into(), journal: Uuid::nil(), first: 1, length: 0, medium };
-        JournalWriter::new(segment, 1, None, u64::MAX, Box::new(|_, _| {}))
+    impl Faulty {
+        fn set(&self, change: impl FnOnce(&mut Faults)) {
+            change(&mut self.0.lock().unwrap());
+        }
+
+        fn heal(&self) {
+            self.set(|disk| *disk = Faults { segments: std::mem::take(&mut disk.segments), ..Faults::default() });
+        }
+
+        /// The records that a start would count.
+        fn recovered(&self) -> Vec<(u64, Vec<u8>)> {
+            let disk = self.0.lock().unwrap();
+            let ends = disk.segments.keys().skip(1).copied().map(Some).chain([None]);
+            let mut found = Vec::new();
+            for ((first, bytes), end) in disk.segments.iter().zip(ends) {
+                let visit = |_: usize, record: &segment::FramedRecord<'_>| {
+                    found.push((record.number, record.payload.to_vec()));
+                };
+                recover::walk(bytes, *first, end, visit).unwrap();
+            }
+            found
+        }
+
+        fn writer(&self) -> JournalWriter {
+            let disk = self.clone();
+            let create = move |first| {
+                if disk.0.lock().unwrap().create_fails {
+                    return Err(Error::Io { doing: "creating", source: io::ErrorKind::StorageFull.into() });
+                }
+                let header = segment::header(Uuid::nil(), first).to_vec();
+                let length = header.len() as u64;
+                disk.set(|disk| _ = disk.segments.insert(first, header));
+                Ok(LogSegment { first, length, medium: Box::new(FaultySegment(disk.clone(), first)) })
+            };
+            let disk = self.clone();
+            let still_ours = move || match disk.0.lock().unwrap().taken_over {
+                true => Err(Error::Stopped("another server".to_owned())),
+                false => Ok(()),
+            };
+            let disk = Disk { create: Box::new(create), still_ours: Box::new(still_ours) };
+            JournalWriter::new(disk, 1, u64::MAX, Box::new(|_, _| {}))
+        }
     }
 
-    fn append(writer: &mut JournalWriter) -> Result<Written, Error> {
+    fn append(writer: &mut JournalWriter, payload: &[u8]) -> Result<Written, Error> {
         let (done, outcome) = mpsc::sync_channel(1);
         let meta = RecordMeta { day: 1, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } };
-        writer.commit(vec![Append {
-            meta,
-            fresh: false,
-            payload: b"payload".to_vec(),
-            span: Span::none(),
-            done,
-        }]);
+        let payload = payload.to_vec();
+        writer.commit(vec![Append { meta, fresh: false, payload, span: Span::none(), done }]);
         outcome.recv().unwrap()
     }
 
+    /// Catches: a service that takes no uploads until a restart, or one that loses or invents some, after its disk
+    /// failed in any of its ways and went on.
     #[test]
-    fn a_full_disk_refuses_and_recovers_once_freed() {
-        let disk = Faulty::default();
-        let mut writer = writer(&disk);
-        assert_eq!(append(&mut writer).unwrap().number, 1);
-        disk.0.lock().unwrap().append_fails = true;
-        assert!(matches!(append(&mut writer), Err(Error::Io { .. })));
-        disk.0.lock().unwrap().append_fails = false;
-        assert_eq!(append(&mut writer).unwrap().number, 2);
-        let bytes = disk.0.lock().unwrap().bytes.clone();
-        let second = segment::parse_record(&bytes[RECORD_HEADER + 7..]).unwrap();
-        assert_eq!((second.number, second.synced), (2, 1), "nothing of the refused record is left");
+    fn whatever_fails_what_was_acknowledged_is_there_and_writing_goes_on() {
+        let ways: [fn(&mut Faults); 5] = [
+            |disk| disk.append_fails = true,
+            |disk| (disk.append_fails, disk.cut_fails) = (true, true),
+            |disk| disk.sync_fails = true,
+            |disk| (disk.sync_fails, disk.create_fails) = (true, true),
+            |disk| disk.create_fails = true,
+        ];
+        for (way, fails) in ways.into_iter().enumerate() {
+            for before in 0..3_u8 {
+                let disk = Faulty::default();
+                let mut writer = disk.writer();
+                let mut counted = Vec::new();
+                let mut count = |writer: &mut JournalWriter, payload: u8| {
+                    counted.push((append(writer, &[payload]).unwrap().number, vec![payload]));
+                };
+                (0..before).for_each(|payload| count(&mut writer, payload));
+                disk.set(fails);
+                let refused = [append(&mut writer, b"refused"), append(&mut writer, b"refused")];
+                let all = refused.iter().all(|outcome| matches!(outcome, Err(Error::Io { .. })));
+                assert!(all || (way == 4 && before > 0), "way {way} after {before}: {refused:?}");
+                disk.heal();
+                if !all {
+                    continue;
+                }
+                (10..13).for_each(|payload| count(&mut writer, payload));
+                assert_eq!(disk.recovered(), counted, "way {way} after {before}");
+            }
+        }
     }
 
+    /// Catches: two services that both acknowledge a record of one number.
     #[test]
-    fn after_a_failed_sync_or_cut_nothing_is_accepted_again() {
-        for (sync_fails, append_fails) in [(true, false), (false, true)] {
-            let disk = Faulty::default();
-            let mut writer = writer(&disk);
-            *disk.0.lock().unwrap() = Faults { sync_fails, append_fails, cut_fails: true, bytes: vec![] };
-            assert!(matches!(append(&mut writer), Err(Error::Stopped(_))));
-            *disk.0.lock().unwrap() = Faults::default();
-            assert!(matches!(append(&mut writer), Err(Error::Stopped(_))));
-        }
+    fn who_lost_the_directory_acknowledges_nothing() {
+        let disk = Faulty::default();
+        let mut writer = disk.writer();
+        append(&mut writer, b"one").unwrap();
+        disk.set(|disk| disk.taken_over = true);
+        assert!(matches!(append(&mut writer, b"two"), Err(Error::Stopped(_))));
+        // The other one read one record, and goes on in a segment of its own.
+        let mut second = vec![0; 0];
+        second.extend_from_slice(&segment::header(Uuid::nil(), 2));
+        segment::put_record(&mut second, 2, 1, b"theirs");
+        disk.heal();
+        disk.set(|disk| _ = disk.segments.insert(2, second));
+        assert!(matches!(append(&mut writer, b"three"), Err(Error::Stopped(_))), "for good");
+        assert_eq!(disk.recovered(), [(1, b"one".to_vec()), (2, b"theirs".to_vec())]);
     }
 }

@@ -179,6 +179,19 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     assert_eq!(std::fs::read(&manifest).unwrap()[..4], *b"EFM\x04");
 }
 
+/// Copies a directory with all in it.
+pub(super) fn copy_dir(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let to = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy_dir(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), to).unwrap();
+        }
+    }
+}
+
 fn mapping() -> crate::mapping::MappingConfig {
     crate::mapping::MappingConfig::default()
 }
