@@ -12,6 +12,8 @@ use crate::config::{LogConfig, LogFormat};
 pub fn init(config: &LogConfig) -> Result<(), ParseError> {
     let filter = EnvFilter::builder().parse(&config.filter)?;
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // Where the disk is full that the log goes to, that must not end the thread that writes a line.
+    let lines = lines.log_internal_errors(false);
     // A program that embeds the service may have set up its own: that one stays.
     let _ = match config.format {
         LogFormat::Text => lines.try_init(),

@@ -27,6 +27,11 @@ pub async fn mapping(service: &Service) -> MappingServiceClient<Channel> {
     MappingServiceClient::new(connect(service).await)
 }
 
+/// A client that contributes over a connection that is open.
+pub fn mapping_on(channel: Channel) -> MappingServiceClient<Channel> {
+    MappingServiceClient::new(channel)
+}
+
 /// A client that reads the map.
 pub async fn reading(service: &Service) -> MapServiceClient<Channel> {
     MapServiceClient::new(connect(service).await)

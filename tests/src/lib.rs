@@ -4,6 +4,7 @@
 //! - [`service`]: the service as a process: started, killed, started again, ended, with its log.
 //! - [`command`]: one run of the command, and what it said.
 //! - [`disk`]: a disk whose power can be cut.
+//! - [`limits`]: what the system refuses a running service.
 //! - [`http`]: what the operators' port answers.
 //! - [`grpc`]: clients of the vehicles' port, and refusals taken apart.
 //! - [`traffic`]: vehicles that upload without pause, and the list of what was acknowledged.
@@ -27,6 +28,7 @@ pub mod crowd;
 pub mod disk;
 pub mod grpc;
 pub mod http;
+pub mod limits;
 pub mod mapping;
 pub mod service;
 pub mod tiles;

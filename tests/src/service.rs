@@ -39,6 +39,8 @@ pub struct Setup {
     pub data_dir: Option<PathBuf>,
     /// A deliberate defect, by its name in `ECHOFIX_FAULT`.
     pub fault: Option<&'static str>,
+    /// What to run in place of the `echofix` command.
+    pub program: Option<PathBuf>,
 }
 
 impl Service {
@@ -181,7 +183,7 @@ fn launch(folder: &TempDir, setup: &Setup) -> ServiceProcess {
     let mut settings = vec!["mapping.publish_contributors=1".to_owned()];
     settings.extend(setup.settings.iter().cloned());
     let launch = Launch {
-        program: binary::echofix(),
+        program: setup.program.as_deref().unwrap_or(binary::echofix()),
         folder: folder.path(),
         data_dir: &data_dir(folder, setup),
         settings,

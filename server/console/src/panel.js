@@ -33,11 +33,12 @@ export function showProgress({ state, epoch, journaled }) {
     : `${count(waiting)} ${waiting === 1 ? 'upload waits' : 'uploads wait'} to be folded.`;
 }
 
-export function showHealth({ ready, reason }) {
-  chip(byId('ready'), ready ? 'ready' : 'not ready', ready ? 'good' : 'bad');
+export function showHealth({ ready, reason, uploading }) {
+  const takes = uploading.ready;
+  chip(byId('ready'), ready ? (takes ? 'ready' : 'no uploads') : 'not ready', ready && takes ? 'good' : 'bad');
   const alert = byId('alert');
-  alert.hidden = ready;
-  alert.textContent = ready ? '' : `Not ready: ${reason}`;
+  alert.hidden = !reason;
+  alert.textContent = !reason ? '' : ready ? `Not all is well: ${reason}` : `Not ready: ${reason}`;
 }
 
 export function showStream(state) {

@@ -61,8 +61,9 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
     let feed = &app.state.feed;
     let map =
         WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));
-    let health =
-        WatchStream::new(app.state.health.follow()).map(|now| event("health", &probes::readiness_json(&now)));
+    let progress = app.state.store.progress();
+    let health = WatchStream::new(app.state.health.follow())
+        .map(move |now| event("health", &probes::readiness_json(&now, &progress.borrow())));
     let stream = map
         .merge(health)
         .merge(feed_events("fix", feed.fixes.subscribe()))

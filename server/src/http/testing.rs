@@ -40,7 +40,14 @@ pub fn austin() -> TileId {
 }
 
 fn serving(epoch: u64) -> MapProgress {
-    MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, building: None, stopped: false }
+    MapProgress {
+        state: MapStatus::Serving,
+        epoch,
+        journaled: epoch,
+        building: None,
+        stopped: false,
+        refusing: false,
+    }
 }
 
 /// A map in memory that is only read.

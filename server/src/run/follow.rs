@@ -1,6 +1,7 @@
 //! Health and metrics follow the store.
 
 use super::ServiceContext;
+use crate::health::{Readiness, ServiceReadiness};
 use crate::store::{MapProgress, MapStatus};
 
 /// Follows the store's progress for as long as it is polled.
@@ -11,31 +12,37 @@ pub(super) async fn follow(shared: ServiceContext) {
         let MapProgress { epoch, journaled, .. } = now;
         shared.metrics.epoch.set(epoch as i64);
         shared.metrics.unfolded.set(journaled.saturating_sub(epoch) as i64);
-        match hindrance(&now) {
-            Some(reason) => shared.health.not_ready(reason),
-            None => shared.health.ready(),
-        }
+        shared.health.set(readiness(&now));
         if progress.changed().await.is_err() {
             return;
         }
     }
 }
 
-/// Why the service is not ready. A new generation that is made beside a sound one is no reason.
-fn hindrance(progress: &MapProgress) -> Option<String> {
-    let MapProgress { state, epoch, journaled, stopped, .. } = *progress;
-    if stopped {
-        return Some("the journal stopped after a write failed; restart once the disk is sound".to_owned());
-    }
-    match state {
+/// What the store's progress means for those who ask. A new generation that is made beside a sound one hinders nobody.
+fn readiness(progress: &MapProgress) -> ServiceReadiness {
+    let MapProgress { state, epoch, journaled, stopped, refusing, .. } = *progress;
+    let localizing = match state {
         MapStatus::Rebuilding => {
-            Some(format!("rebuilding the map: {epoch} of {journaled} uploads are folded"))
+            Readiness::NotReady(format!("rebuilding the map: {epoch} of {journaled} uploads are folded"))
         }
-        MapStatus::Stalled => {
-            Some(format!("folding fails and is tried again: {epoch} of {journaled} uploads are folded"))
+        MapStatus::Stalled => Readiness::Degraded(format!(
+            "folding fails and is tried again; the map of epoch {epoch} is served, {journaled} uploads are journaled"
+        )),
+        MapStatus::Serving => Readiness::Ready,
+    };
+    let uploading = if stopped {
+        Readiness::NotReady("another service has taken the data directory over; end this one".to_owned())
+    } else if refusing {
+        Readiness::NotReady("the journal cannot be written; it is tried again".to_owned())
+    } else {
+        match &localizing {
+            // The journal can be written: what is folded later is not lost.
+            Readiness::NotReady(reason) => Readiness::Degraded(reason.clone()),
+            other => other.clone(),
         }
-        MapStatus::Serving => None,
-    }
+    };
+    ServiceReadiness { localizing, uploading }
 }
 
 #[cfg(test)]
@@ -43,24 +50,26 @@ mod tests {
     use super::*;
     use crate::store::Building;
 
+    /// Catches: a service taken out of rotation while it can localize, or left in while it cannot.
     #[test]
-    fn a_store_that_does_not_go_on_is_not_ready() {
-        let reason = |state, stopped| {
-            hindrance(&MapProgress {
-                state,
-                epoch: 3,
-                journaled: 5,
-                building: Some(Building { folded: 1, of: 5, control: 4 }),
-                stopped,
-            })
+    fn each_part_is_ready_when_it_can_work() {
+        let of = |state, stopped, refusing| {
+            let building = Some(Building { folded: 1, of: 5, control: 4 });
+            readiness(&MapProgress { state, epoch: 3, journaled: 5, building, stopped, refusing })
         };
         assert_eq!(
-            reason(MapStatus::Serving, false),
-            None,
+            of(MapStatus::Serving, false, false),
+            ServiceReadiness::of_all(&Readiness::Ready),
             "while another generation is made, one is served"
         );
-        assert!(reason(MapStatus::Serving, true).unwrap().contains("journal stopped"));
-        assert!(reason(MapStatus::Stalled, false).unwrap().contains("3 of 5"));
-        assert!(reason(MapStatus::Rebuilding, false).unwrap().contains("rebuilding"));
+        for (stopped, refusing) in [(true, false), (false, true), (true, true)] {
+            let now = of(MapStatus::Serving, stopped, refusing);
+            assert!(now.localizing.is_ready() && !now.uploading.is_ready());
+        }
+        let stalled = of(MapStatus::Stalled, false, false);
+        assert!(stalled.localizing.is_ready() && stalled.uploading.is_ready());
+        assert!(stalled.localizing.reason().unwrap().contains("epoch 3"));
+        let rebuilding = of(MapStatus::Rebuilding, false, false);
+        assert!(!rebuilding.localizing.is_ready() && rebuilding.uploading.is_ready());
     }
 }

@@ -110,21 +110,23 @@ fn note_request(request: Request<()>) -> Result<Request<()>, Status> {
 
 /// What the health service says follows what the service knows.
 async fn follow(reporter: HealthReporter, shared: ServiceContext) {
-    let services = [
+    let localizing = [
         "",
         <LocalizationServiceServer<LocalizationApi> as NamedService>::NAME,
-        <MappingServiceServer<MappingApi> as NamedService>::NAME,
         <MapServiceServer<MapApi> as NamedService>::NAME,
     ];
+    let uploading = <MappingServiceServer<MappingApi> as NamedService>::NAME;
+    let status = |readiness: &Readiness| match readiness.is_ready() {
+        true => ServingStatus::Serving,
+        false => ServingStatus::NotServing,
+    };
     let mut readiness = shared.health.follow();
     loop {
-        let status = match *readiness.borrow_and_update() {
-            Readiness::Ready => ServingStatus::Serving,
-            Readiness::NotReady(_) => ServingStatus::NotServing,
-        };
-        for service in services {
-            reporter.set_service_status(service, status).await;
+        let now = readiness.borrow_and_update().clone();
+        for service in localizing {
+            reporter.set_service_status(service, status(&now.localizing)).await;
         }
+        reporter.set_service_status(uploading, status(&now.uploading)).await;
         if readiness.changed().await.is_err() {
             return;
         }

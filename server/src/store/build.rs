@@ -247,6 +247,7 @@ impl<'a> BuildReporter<'a> {
 
     /// Called with the last record folded; false when the end was called.
     fn at(&mut self, folded: u64) -> bool {
+        self.shared.beat.beat();
         let of = self.shared.index.newest();
         self.shared.progress.send_modify(|progress| {
             progress.building = Some(Building { folded, of, control: self.control });

@@ -100,7 +100,9 @@ impl Checkpoint {
                 Ok((of, older)) if of == journal && older.last <= self.last => {
                     fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
                 }
-                _ => tracing::warn!(path = %path.display(), "no sound checkpoint of this journal; left alone"),
+                _ => {
+                    tracing::warn!(path = %path.display(), "no sound checkpoint of this journal; left alone")
+                }
             }
         }
         Ok(())
@@ -150,7 +152,8 @@ fn files(root: &Path) -> Result<Vec<PathBuf>, Error> {
         let name = entry.file_name();
         let number = name.to_str().and_then(|name| name.strip_prefix("base-"));
         let numbers = number.map(|number| number.split_once('.').unwrap_or((number, "2")));
-        let is_one = |(last, count): (&str, &str)| last.parse::<u64>().is_ok() && count.parse::<u32>().is_ok();
+        let is_one =
+            |(last, count): (&str, &str)| last.parse::<u64>().is_ok() && count.parse::<u32>().is_ok();
         if numbers.is_some_and(is_one) && entry.path().is_file() {
             files.push(entry.path());
         }

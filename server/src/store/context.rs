@@ -2,6 +2,7 @@
 
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use uuid::Uuid;
@@ -13,6 +14,31 @@ use super::index::JournalIndex;
 use super::journal::Journal;
 use super::options::Options;
 use super::{Error, MapProgress, MapStatus, Policy, StoreClock};
+
+/// How long one step of folding may take: some records, or one tile of a new generation.
+const STEP: Duration = Duration::from_mins(5);
+
+/// When the folding thread was last heard of, while it has something to do.
+#[derive(Default)]
+pub(super) struct Heartbeat(Mutex<Option<Instant>>);
+
+impl Heartbeat {
+    /// It works.
+    pub(super) fn beat(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// It has nothing to do.
+    pub(super) fn rest(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// How long nothing was heard of it, if that is too long.
+    pub(super) fn silence(&self) -> Option<Duration> {
+        let last = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        last.map(|last| last.elapsed()).filter(|silence| *silence > STEP)
+    }
+}
 
 /// What the store and its folding thread share.
 pub(super) struct StoreContext {
@@ -30,6 +56,8 @@ pub(super) struct StoreContext {
     checkpoint: RwLock<Checkpoint>,
     /// Uploads in the checkpoint.
     pub(super) compacted_uploads: AtomicU64,
+    /// Tells that the folding thread works.
+    pub(super) beat: Heartbeat,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
     /// Where a test lets the building of a generation fail.
@@ -61,6 +89,7 @@ impl StoreContext {
             served: RwLock::new(served),
             compacted_uploads: AtomicU64::new(checkpoint.uploads),
             checkpoint: RwLock::new(checkpoint),
+            beat: Heartbeat::default(),
             deciding: Mutex::default(),
             #[cfg(test)]
             fails_at: Mutex::default(),

@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
 pub(super) use fence::Fence;
-pub(super) use files::{put_file, replaced};
+pub(super) use files::{put_file, put_new, replaced};
 pub(super) use marker::{mark, marked};
 
 use super::journal::Journal;
@@ -126,7 +126,9 @@ impl DataDir {
                     fs::remove_dir_all(&path).map_err(at(&path, "removing old tiles"))?;
                 }
                 Some(_) => self.set_aside(&name, "tiles that do not belong to this journal and manifest")?,
-                None => tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone"),
+                None => {
+                    tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone")
+                }
             }
         }
         Ok(())
@@ -163,9 +165,7 @@ impl DataDir {
 /// Names the file in what is told of a failure.
 fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
     let path = path.display().to_string();
-    move |error| {
-        io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
-    }
+    move |error| io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
 }
 
 #[cfg(test)]

@@ -66,8 +66,18 @@ impl EmbeddedStore {
         // What is served is the last good epoch; what was journaled after it is folded behind it.
         let state = if worker.on.is_some() { MapStatus::Serving } else { MapStatus::Rebuilding };
         let epoch = worker.folded;
-        let progress =
-            watch::Sender::new(MapProgress { state, epoch, journaled: end, building: None, stopped: false });
+        let progress = watch::Sender::new(MapProgress {
+            state,
+            epoch,
+            journaled: end,
+            building: None,
+            stopped: false,
+            refusing: false,
+        });
+        let refusing = {
+            let progress = progress.clone();
+            move |now| progress.send_modify(|progress| progress.refusing = now)
+        };
         let deliver = {
             let (index, progress) = (index.clone(), progress.clone());
             move |meta: RecordMeta, written: Written| {
@@ -77,8 +87,13 @@ impl EmbeddedStore {
             }
         };
         let journal_id = found.id();
-        let journal =
-            Journal::start(&dir.journal(), found, options.segment_bytes, dir.fence().clone(), deliver)?;
+        let journal = Journal::start(
+            &dir.journal(),
+            found,
+            (options.segment_bytes, dir.fence().clone()),
+            deliver,
+            refusing,
+        )?;
         let (journal, served) = ((journal_id, lineage, journal), (worker.on.clone(), checkpoint.clone()));
         let shared = Arc::new(StoreContext::new(dir, options, journal, index, progress, served));
         if worker.on.is_some() && worker.applied >= shared.index.newest_control() {
@@ -242,6 +257,13 @@ impl MapStore for EmbeddedStore {
 
     fn progress(&self) -> watch::Receiver<MapProgress> {
         self.shared.progress.subscribe()
+    }
+
+    fn hang(&self) -> Option<String> {
+        if self.worker.as_ref().is_none_or(JoinHandle::is_finished) {
+            return Some("the folding thread has ended".to_owned());
+        }
+        self.shared.beat.silence().map(|silence| format!("folding hangs, for {} s", silence.as_secs()))
     }
 }
 

@@ -51,9 +51,11 @@ pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
                 if shared.served().is_some() {
                     shared.set_state(MapStatus::Stalled);
                 }
+                shared.beat.rest();
                 if !shared.index.pause(RETRY) {
                     return;
                 }
+                shared.beat.beat();
                 folder.mend(shared);
             }
         }
@@ -67,8 +69,14 @@ pub(super) fn run(shared: &StoreContext, mut folder: FoldWorker) {
 impl FoldWorker {
     /// Does what is next, waiting for it. False at the end.
     fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, TilesError> {
-        let Some(on) = self.on.clone() else { return self.build(shared) };
-        match shared.index.next(self.folded, self.applied) {
+        let Some(on) = self.on.clone() else {
+            shared.beat.beat();
+            return self.build(shared);
+        };
+        shared.beat.rest();
+        let next = shared.index.next(self.folded, self.applied);
+        shared.beat.beat();
+        match next {
             None => Ok(false),
             Some(NextFold::Build) => self.build(shared),
             Some(NextFold::Records(group)) => {
@@ -100,7 +108,10 @@ impl FoldWorker {
         }
         match caught(|| build::replace(shared, &on, self.applied)) {
             Ok(fresh) => {
-                tracing::info!(epoch = self.folded, "a copy of the tiles is served in place of those that failed");
+                tracing::info!(
+                    epoch = self.folded,
+                    "a copy of the tiles is served in place of those that failed"
+                );
                 self.on = Some(fresh);
             }
             // It is too early; the next step fails again, for the same reason.

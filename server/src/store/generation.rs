@@ -73,9 +73,12 @@ impl Generation {
         journal: Uuid,
         (cache_bytes, publish): (u64, u8),
     ) -> Result<Self, Error> {
-        fs::create_dir(path).and_then(|()| mark(path, journal)).map_err(io_error("making a directory for tiles"))?;
+        fs::create_dir(path)
+            .and_then(|()| mark(path, journal))
+            .map_err(io_error("making a directory for tiles"))?;
         let dir = GenerationDir::new(path);
-        let tiles = TileStore::open(path, cache_bytes).inspect_err(|_| dir.retired.store(true, Ordering::Release))?;
+        let tiles =
+            TileStore::open(path, cache_bytes).inspect_err(|_| dir.retired.store(true, Ordering::Release))?;
         Ok(Self { number, tiles, publish, catalog: RwLock::default(), folded: AtomicU64::new(0), dir })
     }
 

@@ -243,6 +243,8 @@ pub struct MapProgress {
     pub building: Option<Building>,
     /// The journal accepts nothing any more, see [`Error::Stopped`].
     pub stopped: bool,
+    /// The journal could not be written the last time; it is tried again.
+    pub refusing: bool,
 }
 
 /// A generation of the map that is being made.
@@ -312,4 +314,9 @@ pub trait MapStore: Send + Sync {
 
     /// Follows how far the journal reaches and how far it is folded.
     fn progress(&self) -> watch::Receiver<MapProgress>;
+
+    /// What has stopped for good, so that only a restart helps; `None` while all works or is tried again.
+    fn hang(&self) -> Option<String> {
+        None
+    }
 }

@@ -88,7 +88,6 @@ fn wait_until_unlocked(dir: &Path) {
     }
 }
 
-
 #[cfg(test)]
 mod tests {
     use super::*;

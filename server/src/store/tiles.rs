@@ -22,9 +22,9 @@ use super::attempt::{TilesError, caught};
 use super::catalog::Catalog;
 use super::checksum::{SUM, seal, sealed};
 use super::key::key;
+use super::sled_instance::Sled;
 use super::vetting::QuarantinedRecord;
 use super::write_buffer::{Folded, Source};
-use super::sled_instance::Sled;
 use super::{Error, TileInfo, pieces, quarantine};
 
 /// Where the journal the tiles were folded from is named.

@@ -51,7 +51,8 @@ impl ContributorKey {
             }
             (Found::Missing, Found::Missing) if !needed => {
                 let mut key = [0; 16];
-                getrandom::fill(&mut key).map_err(|error| io_error("drawing a key")(io::Error::other(error)))?;
+                getrandom::fill(&mut key)
+                    .map_err(|error| io_error("drawing a key")(io::Error::other(error)))?;
                 Self(key).kept(root)
             }
             _ => Err(lost(root)),
@@ -116,9 +117,9 @@ fn found(root: &Path, name: &str) -> Result<Found, Error> {
 fn lost(root: &Path) -> Error {
     Error::Damaged {
         what: format!("the data directory {}", root.display()),
-        reason: "the file `key` and its copy `key-copy` are missing or damaged, and its journal holds uploads. Restore \
-                 `key` from a backup, or put 16 random bytes there, without a copy beside it, to go on with every \
-                 contributor counted as a new one"
+        reason: "the file `key` and its copy `key-copy` are missing or damaged, and its journal holds uploads. Restore it \
+                 from a backup, or put 16 random bytes in `key`, without a copy beside it, to go on with every contributor \
+                 counted as a new one"
             .to_owned(),
     }
 }

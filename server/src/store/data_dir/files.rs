@@ -47,11 +47,31 @@ pub(super) fn put_file_with(
     file.into_inner().map_err(|error| error.into_error())
 }
 
-/// A new file in place of the one of this name, if there is any: whoever still has that one open writes into nothing.
+/// A new file in place of the one of this name: whoever still has that one open writes into nothing.
 pub(in crate::store) fn replaced(dir: &Path, name: &str, content: &[u8]) -> io::Result<File> {
-    let file = put_file_with(dir, name, 0o600, |file| file.write_all(content))?;
-    drop(file);
+    drop(put_file_with(dir, name, 0o600, |file| file.write_all(content))?);
     OpenOptions::new().append(true).open(dir.join(name))
+}
+
+/// A new file, whole and on disk, with its name; nothing may have that name.
+///
+/// # Errors
+/// [`io::ErrorKind::AlreadyExists`] when something has it, which is left as it is.
+pub(in crate::store) fn put_new(dir: &Path, name: &str, content: &[u8]) -> io::Result<File> {
+    let unnamed = dir.join(format!("{name}{UNFINISHED}"));
+    let put = || {
+        let file = OpenOptions::new().create(true).write(true).truncate(true).mode(0o600).open(&unnamed)?;
+        let mut file = BufWriter::new(file);
+        file.write_all(content)?;
+        file.into_inner()?.sync_all()?;
+        // Unlike a rename, a link takes nothing's place.
+        fs::hard_link(&unnamed, dir.join(name))
+    };
+    let outcome = put();
+    let _ = fs::remove_file(&unnamed);
+    outcome?;
+    let opened = sync_dir(dir).and_then(|()| OpenOptions::new().append(true).open(dir.join(name)));
+    opened.inspect_err(|_| _ = fs::remove_file(dir.join(name)))
 }
 
 /// Removes the files that were not finished.

@@ -113,7 +113,8 @@ fn only_what_this_store_made_is_removed() {
         fs::write(dir.path().join(name), "years of work").unwrap();
     }
     let before = files::names(dir.path()).unwrap();
-    for (name, journal) in [("tiles-20", ours), ("tiles-21", ours), ("scratch-5", ours), ("tiles-22", theirs)] {
+    for (name, journal) in [("tiles-20", ours), ("tiles-21", ours), ("scratch-5", ours), ("tiles-22", theirs)]
+    {
         fs::create_dir(dir.path().join(name)).unwrap();
         mark(&dir.path().join(name), journal).unwrap();
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use uuid::Uuid;
 
 use super::segment::{self, HEADER};
-use crate::store::data_dir::replaced;
+use crate::store::data_dir::{put_new, replaced};
 use crate::store::{Error, io_error};
 
 /// An append-only file. A trait so that tests can make the disk fail.
@@ -43,15 +43,46 @@ pub(super) struct LogSegment {
 }
 
 impl LogSegment {
-    /// A new, empty segment: its header and its name are on disk. One of the same name holds no record that anybody was
-    /// told of; what a server that lost the directory still writes to it goes nowhere.
-    pub(super) fn create(dir: &Path, journal: Uuid, first: u64) -> Result<Self, Error> {
-        let path = segment::path(dir, first);
-        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let file = replaced(dir, &name, &segment::header(journal, first));
+    /// A new, empty segment: its header and its name are on disk. A file of its name was put there by a server that had
+    /// lost the directory, else it would have been found when the journal was read: nobody was told of what it holds. That
+    /// the directory is this server's is asked after the file was seen: see [`crate::store::data_dir::Fence`].
+    pub(super) fn create(
+        dir: &Path,
+        journal: Uuid,
+        first: u64,
+        still_ours: impl FnOnce() -> Result<(), Error>,
+    ) -> Result<Self, Error> {
+        let (name, header) = (name_of(dir, first), segment::header(journal, first));
+        let file = match put_new(dir, &name, &header) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                still_ours()?;
+                std::fs::remove_file(dir.join(&name)).and_then(|()| put_new(dir, &name, &header))
+            }
+            outcome => outcome,
+        };
+        Self::empty(first, file)
+    }
+
+    /// A segment without a record in place of the one there is: what a server that lost the directory still writes to that
+    /// goes nowhere.
+    pub(super) fn replace(dir: &Path, journal: Uuid, first: u64) -> Result<Self, Error> {
+        Self::empty(first, replaced(dir, &name_of(dir, first), &segment::header(journal, first)))
+    }
+
+    fn empty(first: u64, file: io::Result<File>) -> Result<Self, Error> {
         let file = file.map_err(io_error("creating a journal segment"))?;
         Ok(Self { first, length: HEADER as u64, medium: Box::new(file) })
     }
+
+    /// Has nobody been told of a record in it?
+    pub(super) fn is_empty(&self) -> bool {
+        self.length == HEADER as u64
+    }
+}
+
+fn name_of(dir: &Path, first: u64) -> String {
+    let path = segment::path(dir, first);
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Cuts a torn write off a segment, and brings to disk what an earlier process wrote and did not live to sync.

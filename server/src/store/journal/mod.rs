@@ -65,6 +65,8 @@ pub(super) struct Journal {
 pub(super) struct RecoveredJournal {
     id: Uuid,
     next: u64,
+    /// The newest segment, if it holds no record.
+    empty: Option<LogSegment>,
 }
 
 impl RecoveredJournal {
@@ -92,8 +94,8 @@ impl Journal {
         drop_unfinished(dir, &mut firsts)?;
         let Some(&newest) = firsts.last() else {
             let id = Uuid::now_v7();
-            LogSegment::create(dir, id, 1)?;
-            return Ok(RecoveredJournal { id, next: 1 });
+            let empty = Some(LogSegment::create(dir, id, 1, || Ok(()))?);
+            return Ok(RecoveredJournal { id, next: 1, empty });
         };
         // Older ones were compacted: whether something covers them, the store knows.
         let (mut id, mut next, mut length) = (None, firsts[0], 0);
@@ -125,7 +127,9 @@ impl Journal {
         }
         let id = id.unwrap_or_default();
         medium::settle(dir, newest, length as u64)?;
-        Ok(RecoveredJournal { id, next })
+        // On a full disk it stays as it is; the next record is refused then, and begins another.
+        let empty = (newest == next).then(|| LogSegment::replace(dir, id, newest).ok()).flatten();
+        Ok(RecoveredJournal { id, next, empty })
     }
 
     /// Is there any segment?
@@ -145,19 +149,22 @@ impl Journal {
     }
 
     /// Starts writing, into a segment of its own: the ones that were found stay as they are. `deliver` gets every
-    /// record in order, once it is on disk and before its append returns.
+    /// record in order, once it is on disk and before its append returns; `refusing` is told when the disk begins to refuse
+    /// writes, and when it takes them again.
     pub(super) fn start(
         dir: &Path,
         found: RecoveredJournal,
-        segment_bytes: u64,
-        fence: Fence,
+        (segment_bytes, fence): (u64, Fence),
         deliver: impl FnMut(RecordMeta, Written) + Send + 'static,
+        refusing: impl FnMut(bool) + Send + 'static,
     ) -> Result<Self, Error> {
         let (sender, receiver) = mpsc::channel();
         let (segments, id) = (dir.to_owned(), found.id);
-        let create = move |first| LogSegment::create(&segments, id, first);
+        let of_segments = fence.clone();
+        let create = move |first| LogSegment::create(&segments, id, first, || of_segments.check());
         let disk = writer::Disk { create: Box::new(create), still_ours: Box::new(move || fence.check()) };
-        let writer = JournalWriter::new(disk, found.next, segment_bytes, Box::new(deliver));
+        let found = (found.next, found.empty);
+        let writer = JournalWriter::new(disk, found, segment_bytes, (Box::new(deliver), Box::new(refusing)));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
         Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })

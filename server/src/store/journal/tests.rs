@@ -7,7 +7,7 @@ fn open(dir: &Path, segment_bytes: u64) -> Result<(Journal, Vec<Vec<u8>>), Error
         payloads.push(payload.to_vec());
         Ok(())
     })?;
-    Ok((Journal::start(dir, found, segment_bytes, Fence::at(dir), |_, _| {})?, payloads))
+    Ok((Journal::start(dir, found, (segment_bytes, Fence::at(dir)), |_, _| {}, |_| {})?, payloads))
 }
 
 fn append(journal: &Journal, payload: &[u8]) -> Written {

@@ -1,7 +1,8 @@
 //! The thread that writes: one sync for all appends that wait.
 
 use std::io;
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
+use std::time::Duration;
 
 use tracing::Span;
 
@@ -29,6 +30,13 @@ pub(super) struct Append {
 
 /// Gets every record once it is on disk.
 type Deliver = Box<dyn FnMut(RecordMeta, Written) + Send>;
+/// Is told when the disk begins to refuse writes, and when it takes them again.
+type Refusing = Box<dyn FnMut(bool) + Send>;
+
+/// How often a disk that refused is tried again, if nobody else tries it.
+const PROBE: Duration = Duration::from_secs(2);
+/// Bytes that it must take then.
+const PROBE_BYTES: usize = 1 << 20;
 
 /// What the writer asks of the disk.
 pub(super) struct Disk {
@@ -42,12 +50,17 @@ pub(super) struct JournalWriter {
     disk: Disk,
     /// `None` before the first record, and when it is not known what the file holds: then the next record begins another.
     segment: Option<LogSegment>,
+    /// A segment without an acknowledged record, of which it is not known what it holds: it is cut before it is used.
+    suspect: Option<LogSegment>,
     /// Number of the next record.
     next: u64,
     /// Day the newest record was written on.
     day: Option<u16>,
     segment_bytes: u64,
     deliver: Deliver,
+    refusing: Refusing,
+    /// The disk refused the last write.
+    refused: bool,
     /// Why nothing is accepted any more.
     stopped: Option<String>,
 }
@@ -61,14 +74,30 @@ enum WriteFailure {
 }
 
 impl JournalWriter {
-    pub(super) fn new(disk: Disk, next: u64, segment_bytes: u64, deliver: Deliver) -> Self {
-        Self { disk, segment: None, next, day: None, segment_bytes, deliver, stopped: None }
+    pub(super) fn new(
+        disk: Disk,
+        (next, segment): (u64, Option<LogSegment>),
+        segment_bytes: u64,
+        (deliver, refusing): (Deliver, Refusing),
+    ) -> Self {
+        Self {
+            disk,
+            segment,
+            suspect: None,
+            next,
+            day: None,
+            segment_bytes,
+            deliver,
+            refusing,
+            refused: false,
+            stopped: None,
+        }
     }
 
     /// Writes until every sender is gone.
     pub(super) fn run(mut self, receiver: &Receiver<Append>) {
         let mut held = None;
-        while let Some(first) = held.take().or_else(|| receiver.recv().ok()) {
+        while let Some(first) = held.take().or_else(|| self.next_append(receiver)) {
             let (mut bytes, day) = (first.payload.len(), first.meta.day);
             let mut group = vec![first];
             while bytes < GROUP_BYTES
@@ -85,11 +114,51 @@ impl JournalWriter {
         }
     }
 
+    /// Waits for an append. A disk that refused is tried meanwhile: nobody sends uploads to a service that is not ready for
+    /// them, and so nothing else would tell that it is again.
+    fn next_append(&mut self, receiver: &Receiver<Append>) -> Option<Append> {
+        while self.refused && self.stopped.is_none() {
+            match receiver.recv_timeout(PROBE) {
+                Ok(append) => return Some(append),
+                Err(RecvTimeoutError::Disconnected) => return None,
+                Err(RecvTimeoutError::Timeout) => {
+                    if self.probe().is_ok() {
+                        tracing::info!("the journal can be written again");
+                        self.takes(true);
+                    }
+                }
+            }
+        }
+        receiver.recv().ok()
+    }
+
+    /// Does the disk take what a large upload has? A segment without a record remains, for the next one.
+    fn probe(&mut self) -> Result<(), WriteFailure> {
+        let mut segment = match self.segment.take() {
+            Some(segment) if segment.is_empty() => segment,
+            _ => self.begun()?,
+        };
+        let tried = segment.medium.append(&vec![0; PROBE_BYTES]).and_then(|()| segment.medium.sync());
+        let outcome = tried.and_then(|()| segment.medium.cut(segment.length));
+        match &outcome {
+            Ok(()) => self.segment = Some(segment),
+            Err(_) => self.suspect = Some(segment),
+        }
+        outcome.map_err(WriteFailure::Refused)
+    }
+
+    fn takes(&mut self, takes: bool) {
+        if self.refused == takes {
+            self.refused = !takes;
+            (self.refusing)(!takes);
+        }
+    }
+
     /// Writes a group, syncs it, and only then answers.
     fn commit(&mut self, group: Vec<Append>) {
         if fault() == Some(Fault::AckBeforeWrite) {
             // As one that writes now and then.
-            std::thread::sleep(std::time::Duration::from_millis(20));
+            std::thread::sleep(Duration::from_millis(20));
         }
         let written = match &self.stopped {
             Some(reason) => Err(WriteFailure::Fenced(reason.clone())),
@@ -97,6 +166,7 @@ impl JournalWriter {
         };
         match written {
             Ok(written) => {
+                self.takes(true);
                 for (append, written) in group.into_iter().zip(written) {
                     self.day = Some(append.meta.day);
                     (self.deliver)(append.meta, written);
@@ -110,7 +180,12 @@ impl JournalWriter {
 
     fn refuse(&mut self, group: Vec<Append>, failure: &WriteFailure) {
         match failure {
-            WriteFailure::Refused(error) => tracing::error!(%error, "the journal could not be written"),
+            WriteFailure::Refused(error) => {
+                if !self.refused {
+                    tracing::error!(%error, "the journal could not be written; it is tried again");
+                }
+                self.takes(false);
+            }
             WriteFailure::Fenced(reason) if self.stopped.is_none() => {
                 tracing::error!(reason, "the journal stopped accepting writes");
                 self.stopped = Some(reason.clone());
@@ -126,7 +201,7 @@ impl JournalWriter {
                 }
                 WriteFailure::Fenced(reason) => Error::Stopped(reason.clone()),
             };
-            append.span.in_scope(|| tracing::warn!("a record was not written"));
+            append.span.in_scope(|| tracing::debug!("a record was not written"));
             let _ = append.done.send(Err(error));
         }
     }
@@ -141,16 +216,51 @@ impl JournalWriter {
                 return Ok(segment);
             }
         }
-        // The one before is never written to again. Where this fails, nothing is lost: the next group tries again.
+        self.begun()
+    }
+
+    /// A new segment. The one before is never written to again; where this fails, the next group tries again.
+    fn begun(&mut self) -> Result<LogSegment, WriteFailure> {
+        if let Some(mut suspect) = self.suspect.take().filter(|suspect| suspect.first == self.next) {
+            return match suspect.medium.cut(suspect.length) {
+                Ok(()) => Ok(suspect),
+                Err(error) => {
+                    self.suspect = Some(suspect);
+                    Err(WriteFailure::Refused(error))
+                }
+            };
+        }
         (self.disk.create)(self.next).map_err(|error| match error {
             Error::Io { source, .. } => WriteFailure::Refused(source),
+            Error::Stopped(reason) => WriteFailure::Fenced(reason),
             other => WriteFailure::Refused(io::Error::other(other.to_string())),
         })
     }
 
-    /// Writes a group to a segment. After a failure that leaves it unknown what the file holds, the segment is given up:
-    /// the next one begins with the number that this group was to have, so that what may be left of it does not count.
+    /// Writes a group to a segment, which is kept for the next one. After a failure that leaves it unknown what the file holds,
+    /// it is given up: the next segment begins with the number that this group was to have, so that what may be left of it
+    /// does not count. One without a record is cut instead, before it is used again.
     fn write(&mut self, mut segment: LogSegment, group: &[Append]) -> Result<Vec<Written>, WriteFailure> {
+        match self.try_to_write(&mut segment, group) {
+            Ok(written) => {
+                self.segment = Some(segment);
+                Ok(written)
+            }
+            Err((failure, whole)) => {
+                let suspect = !whole && segment.is_empty();
+                *(if suspect { &mut self.suspect } else { &mut self.segment }) =
+                    (whole || suspect).then_some(segment);
+                Err(failure)
+            }
+        }
+    }
+
+    /// The outcome; with a failure, whether the segment is whole all the same.
+    fn try_to_write(
+        &mut self,
+        segment: &mut LogSegment,
+        group: &[Append],
+    ) -> Result<Vec<Written>, (WriteFailure, bool)> {
         let synced = self.next - 1;
         let mut bytes = Vec::with_capacity(group.iter().map(|a| RECORD_HEADER + a.payload.len()).sum());
         let mut written = Vec::with_capacity(group.len());
@@ -163,22 +273,19 @@ impl JournalWriter {
         }
         if let Err(error) = segment.medium.append(&bytes) {
             // A full disk refuses here. Nothing of the group may stay: it would be read as written.
-            if segment.medium.cut(segment.length).is_ok() {
-                self.segment = Some(segment);
-            }
-            return Err(WriteFailure::Refused(error));
+            let whole = segment.medium.cut(segment.length).is_ok();
+            return Err((WriteFailure::Refused(error), whole));
         }
         if fault() != Some(Fault::AckBeforeSync) {
             // After a failed sync the kernel may have dropped the pages: no second sync of this file can be believed.
-            segment.medium.sync().map_err(WriteFailure::Refused)?;
+            segment.medium.sync().map_err(|error| (WriteFailure::Refused(error), false))?;
         }
         (self.disk.still_ours)().map_err(|error| match error {
-            Error::Stopped(reason) => WriteFailure::Fenced(reason),
-            other => WriteFailure::Refused(io::Error::other(other.to_string())),
+            Error::Stopped(reason) => (WriteFailure::Fenced(reason), false),
+            other => (WriteFailure::Refused(io::Error::other(other.to_string())), false),
         })?;
         segment.length += bytes.len() as u64;
         self.next += group.len() as u64;
-        self.segment = Some(segment);
         Ok(written)
     }
 }
@@ -209,6 +316,8 @@ mod tests {
         cut_fails: bool,
         create_fails: bool,
         taken_over: bool,
+        /// What was told of it.
+        refusing: Vec<bool>,
     }
 
     /// A segment of it.
@@ -242,7 +351,11 @@ mod tests {
         }
 
         fn heal(&self) {
-            self.set(|disk| *disk = Faults { segments: std::mem::take(&mut disk.segments), ..Faults::default() });
+            self.set(|disk| {
+                let (segments, refusing) =
+                    (std::mem::take(&mut disk.segments), std::mem::take(&mut disk.refusing));
+                *disk = Faults { segments, refusing, ..Faults::default() };
+            });
         }
 
         /// The records that a start would count.
@@ -267,7 +380,8 @@ mod tests {
                 }
                 let header = segment::header(Uuid::nil(), first).to_vec();
                 let length = header.len() as u64;
-                disk.set(|disk| _ = disk.segments.insert(first, header));
+                let taken = disk.0.lock().unwrap().segments.insert(first, header);
+                assert_eq!(taken, None, "a segment is begun once");
                 Ok(LogSegment { first, length, medium: Box::new(FaultySegment(disk.clone(), first)) })
             };
             let disk = self.clone();
@@ -276,7 +390,9 @@ mod tests {
                 false => Ok(()),
             };
             let disk = Disk { create: Box::new(create), still_ours: Box::new(still_ours) };
-            JournalWriter::new(disk, 1, u64::MAX, Box::new(|_, _| {}))
+            let refusing = self.clone();
+            let refusing = move |now| refusing.set(|disk| disk.refusing.push(now));
+            JournalWriter::new(disk, (1, None), u64::MAX, (Box::new(|_, _| {}), Box::new(refusing)))
         }
     }
 
@@ -304,10 +420,10 @@ mod tests {
                 let disk = Faulty::default();
                 let mut writer = disk.writer();
                 let mut counted = Vec::new();
-                let mut count = |writer: &mut JournalWriter, payload: u8| {
-                    counted.push((append(writer, &[payload]).unwrap().number, vec![payload]));
+                let count = |writer: &mut JournalWriter, payload: u8| {
+                    (append(writer, &[payload]).unwrap().number, vec![payload])
                 };
-                (0..before).for_each(|payload| count(&mut writer, payload));
+                counted.extend((0..before).map(|payload| count(&mut writer, payload)));
                 disk.set(fails);
                 let refused = [append(&mut writer, b"refused"), append(&mut writer, b"refused")];
                 let all = refused.iter().all(|outcome| matches!(outcome, Err(Error::Io { .. })));
@@ -316,8 +432,11 @@ mod tests {
                 if !all {
                     continue;
                 }
-                (10..13).for_each(|payload| count(&mut writer, payload));
+                assert!(writer.probe().is_ok());
+                assert_eq!(disk.recovered(), counted, "way {way} after {before}, probed");
+                counted.extend((10..13).map(|payload| count(&mut writer, payload)));
                 assert_eq!(disk.recovered(), counted, "way {way} after {before}");
+                assert_eq!(disk.0.lock().unwrap().refusing, [true, false]);
             }
         }
     }
