@@ -48,7 +48,12 @@ async fn with_cuts(fault: Option<&'static str>) -> Outcome {
     let mut outcome = Outcome::default();
     for round in 0..cuts() {
         let from = uploads.fresh();
-        let setup = Setup { data_dir: Some(disk.path().join("data")), fault, settings: unvetted() };
+        let setup = Setup {
+            data_dir: Some(disk.path().join("data")),
+            fault,
+            settings: unvetted(),
+            ..Setup::default()
+        };
         let mut service = Service::start_as(setup);
         let moment = Duration::from_millis(rng.random_range(5..250));
         known

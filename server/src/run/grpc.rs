@@ -116,9 +116,8 @@ async fn follow(reporter: HealthReporter, shared: ServiceContext) {
         <MapServiceServer<MapApi> as NamedService>::NAME,
     ];
     let uploading = <MappingServiceServer<MappingApi> as NamedService>::NAME;
-    let status = |readiness: &Readiness| match readiness.is_ready() {
-        true => ServingStatus::Serving,
-        false => ServingStatus::NotServing,
+    let status = |readiness: &Readiness| {
+        if readiness.is_ready() { ServingStatus::Serving } else { ServingStatus::NotServing }
     };
     let mut readiness = shared.health.follow();
     loop {

@@ -101,7 +101,7 @@ impl Checkpoint {
                     fs::remove_file(path).map_err(io_error("removing an older checkpoint"))?;
                 }
                 _ => {
-                    tracing::warn!(path = %path.display(), "no sound checkpoint of this journal; left alone")
+                    tracing::warn!(path = %path.display(), "no sound checkpoint of this journal; left alone");
                 }
             }
         }

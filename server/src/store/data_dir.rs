@@ -127,7 +127,7 @@ impl DataDir {
                 }
                 Some(_) => self.set_aside(&name, "tiles that do not belong to this journal and manifest")?,
                 None => {
-                    tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone")
+                    tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone");
                 }
             }
         }

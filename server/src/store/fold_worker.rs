@@ -17,7 +17,7 @@ use super::{Error, MapStatus};
 /// How long folding rests after an error.
 const RETRY: Duration = Duration::from_secs(2);
 /// How often an error that stays is logged.
-const REMINDER: Duration = Duration::from_secs(60);
+const REMINDER: Duration = Duration::from_mins(1);
 
 /// Where folding stands.
 pub(super) struct FoldWorker {

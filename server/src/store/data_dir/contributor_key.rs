@@ -44,7 +44,7 @@ impl ContributorKey {
         match (key, copy) {
             (Found::Sound(key), Found::Sound(copy)) if key == copy => Ok(Self(key)),
             (Found::Sound(_), Found::Sound(_)) => Err(two_keys(root)),
-            (Found::Sound(key), Found::Missing) | (Found::Bare(key), Found::Missing) => Self(key).kept(root),
+            (Found::Sound(key) | Found::Bare(key), Found::Missing) => Self(key).kept(root),
             (Found::Sound(key), _) | (_, Found::Sound(key)) => {
                 tracing::warn!(dir = %root.display(), "the key or its copy was damaged or missing; the sound one is taken");
                 Self(key).kept(root)

@@ -44,7 +44,7 @@ pub(super) fn put_file_with(
     }
     fs::rename(&unnamed, root.join(name)).map_err(named)?;
     sync_dir(root)?;
-    file.into_inner().map_err(|error| error.into_error())
+    file.into_inner().map_err(io::IntoInnerError::into_error)
 }
 
 /// A new file in place of the one of this name: whoever still has that one open writes into nothing.

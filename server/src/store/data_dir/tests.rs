@@ -95,7 +95,7 @@ fn a_key_of_before_there_was_a_checksum_is_taken_as_it_is() {
 #[test]
 fn two_keys_are_one_too_many() {
     let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    (hash(one.path()), hash(other.path()));
+    assert_ne!(hash(one.path()), hash(other.path()));
     fs::copy(other.path().join("key"), one.path().join("key-copy")).unwrap();
     assert!(matches!(DataDir::open(one.path()), Err(Error::Damaged { .. })));
 }

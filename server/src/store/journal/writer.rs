@@ -307,6 +307,7 @@ mod tests {
     #[derive(Clone, Default)]
     struct Faulty(Arc<Mutex<Faults>>);
 
+    #[expect(clippy::struct_excessive_bools, reason = "each stands for a call that fails by itself")]
     #[derive(Default)]
     struct Faults {
         /// The segments, by their first record.
@@ -385,9 +386,9 @@ mod tests {
                 Ok(LogSegment { first, length, medium: Box::new(FaultySegment(disk.clone(), first)) })
             };
             let disk = self.clone();
-            let still_ours = move || match disk.0.lock().unwrap().taken_over {
-                true => Err(Error::Stopped("another server".to_owned())),
-                false => Ok(()),
+            let still_ours = move || {
+                let lost = disk.0.lock().unwrap().taken_over;
+                if lost { Err(Error::Stopped("another server".to_owned())) } else { Ok(()) }
             };
             let disk = Disk { create: Box::new(create), still_ours: Box::new(still_ours) };
             let refusing = self.clone();
