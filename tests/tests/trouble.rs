@@ -87,8 +87,8 @@ impl Scene {
 
     async fn health(&self, name: &str) -> ServingStatus {
         let mut health = HealthClient::new(self.channel.clone());
-        let answer = health.check(HealthCheckRequest { service: name.to_owned() }).await.unwrap();
-        answer.into_inner().status()
+        let answer = health.check(HealthCheckRequest { service: name.to_owned() }).await;
+        answer.expect("the service has a health").into_inner().status()
     }
 
     /// Waits until uploads are welcome again; how long it took.
@@ -260,8 +260,11 @@ async fn a_removed_lock_file_lets_no_second_service_in() {
 
 /// The directory of the tiles that are served.
 fn tiles_of(service: &Service) -> PathBuf {
-    let names = fs::read_dir(service.data_dir()).unwrap().map(|entry| entry.unwrap().path());
-    let mut tiles = names.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with("tiles-"));
+    let names = fs::read_dir(service.data_dir())
+        .expect("an own folder can be used")
+        .map(|entry| entry.expect("an own folder can be used").path());
+    let mut tiles =
+        names.filter(|path| path.file_name().expect("it has a name").to_string_lossy().starts_with("tiles-"));
     let path = tiles.next().expect("there are tiles");
     assert_eq!(tiles.next(), None);
     path
@@ -269,16 +272,19 @@ fn tiles_of(service: &Service) -> PathBuf {
 
 fn spoil(path: &Path, damage: bool) {
     match (path.is_dir(), damage) {
-        (true, false) => fs::remove_dir_all(path).unwrap(),
-        (false, false) => fs::remove_file(path).unwrap(),
-        (false, true) => fs::write(path, "not what it was").unwrap(),
+        (true, false) => fs::remove_dir_all(path).expect("an own folder can be used"),
+        (false, false) => fs::remove_file(path).expect("an own folder can be used"),
+        (false, true) => fs::write(path, "not what it was").expect("an own folder can be used"),
         (true, true) => {
-            for entry in fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path()) {
+            for entry in fs::read_dir(path)
+                .expect("an own folder can be used")
+                .map(|entry| entry.expect("an own folder can be used").path())
+            {
                 if entry.is_file() {
-                    let mut bytes = fs::read(&entry).unwrap();
+                    let mut bytes = fs::read(&entry).expect("an own folder can be used");
                     let middle = bytes.len() / 2;
                     bytes[middle..].iter_mut().take(64).for_each(|byte| *byte ^= 0x5a);
-                    fs::write(&entry, bytes).unwrap();
+                    fs::write(&entry, bytes).expect("an own folder can be used");
                 }
             }
         }
@@ -286,13 +292,16 @@ fn spoil(path: &Path, damage: bool) {
 }
 
 fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+    fs::create_dir_all(to).expect("an own folder can be used");
+    for entry in fs::read_dir(from)
+        .expect("an own folder can be used")
+        .map(|entry| entry.expect("an own folder can be read"))
+    {
         let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
+        if entry.file_type().expect("an own folder can be used").is_dir() {
             copy(&entry.path(), &to);
         } else {
-            fs::copy(entry.path(), to).unwrap();
+            fs::copy(entry.path(), to).expect("an own folder can be used");
         }
     }
 }
@@ -302,11 +311,14 @@ fn snapshot(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
-        for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        for path in fs::read_dir(folder)
+            .expect("an own folder can be used")
+            .map(|entry| entry.expect("an own folder can be used").path())
+        {
             if path.is_dir() {
                 folders.push(path);
             } else if !path.ends_with("writer") && !path.ends_with("lock") {
-                found.insert(path.clone(), fs::read(path).unwrap());
+                found.insert(path.clone(), fs::read(path).expect("an own folder can be used"));
             }
         }
     }
