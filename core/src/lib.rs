@@ -74,6 +74,7 @@
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the square of the map that an alignment needs.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
+//! - [`near`]: the same where only near or far is asked, in a sixth of the bytes.
 //! - [`align`]: `fast_global_align`; the pipeline from map and batch to an answer; its engines.
 //! - [`vetting`]: does an upload agree with the map, and how far beside it does it lie?
 //!
@@ -91,6 +92,7 @@ pub mod drive;
 pub mod evidence;
 pub mod gate;
 pub mod geo;
+pub mod near;
 pub mod odometry;
 pub mod once;
 pub mod own_error;

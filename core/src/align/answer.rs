@@ -113,9 +113,8 @@ impl Findings<'_> {
     /// The fraction of the batch that lies on mapped structure.
     fn matched_fraction(&self, pose: &Pose2, integrity: &Integrity) -> f64 {
         let view = self.ranking.question.view;
-        let near = |d: f64| d <= integrity.matched_within_m;
         let matched = |position: MapPoint| {
-            view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
+            view.tile_at(position).is_some_and(|tile| tile.is_near(position, integrity.matched_within_m))
         };
         self.ranking.fraction(pose, matched)
     }

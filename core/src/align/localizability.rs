@@ -213,15 +213,15 @@ fn expected_points(
     out: &mut Vec<WeightedPoint>,
 ) {
     out.clear();
-    let seen = |hits: f32| 1.0 - (-SEEN_AGAIN * f64::from(hits)).exp();
+    let seen = |hits: f64| 1.0 - (-SEEN_AGAIN * hits).exp();
     let mut near = Vec::new();
     for tile in tiles {
         let corner = tile.id.origin();
         for block in &*tile.blocks {
-            let at = corner.moved(f64::from(block.east_m), f64::from(block.north_m));
+            let at = corner.moved(block.east_m(), block.north_m());
             let (east_m, north_m) = (at.x_m - position.x_m, at.y_m - position.y_m);
             if east_m.hypot(north_m) <= reach_m {
-                near.push((east_m, north_m, seen(block.hits)));
+                near.push((east_m, north_m, seen(block.hits())));
             }
         }
     }

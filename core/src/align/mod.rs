@@ -29,6 +29,7 @@ pub mod image;
 pub mod localizability;
 pub mod objects;
 mod occupancy_grid;
+mod packed;
 pub mod pipeline;
 mod projection;
 pub mod ranking;

@@ -4,7 +4,8 @@
 
 use std::sync::Arc;
 
-use super::weights::{COARSE, KNOWN, TileWeights};
+use super::packed::SQUARE;
+use super::weights::{COARSE, KNOWN, TileWeights, Weights};
 use crate::datum::{MapVariance, mean_offset};
 use crate::geo::{CELLS_PER_TILE, TileId};
 use crate::point::MapPoint;
@@ -69,23 +70,54 @@ impl MapView {
             return;
         }
         WindowTiles::record(&mut self.window, square, tiles);
-        let coarse_side = square.side / COARSE;
-        // A full set of tiles overwrites everything.
-        let whole = square.tiles().count() == tiles.len();
-        reset(&mut self.fine, square.side * square.side + PADDING, whole);
-        reset(&mut self.coarse, coarse_side * coarse_side + PADDING, whole);
-        let known_side = square.side / KNOWN;
-        reset(&mut self.known, known_side * known_side, whole);
+        let (coarse_side, known_side) = (square.side / COARSE, square.side / KNOWN);
+        reset(&mut self.fine, square.side * square.side + PADDING);
+        reset(&mut self.coarse, coarse_side * coarse_side + PADDING);
+        reset(&mut self.known, known_side * known_side);
         for tile in tiles {
             let first = tile.id.first_cell();
             let at = [first.x - square.origin.x, first.y - square.origin.y];
-            paste(tile.fine(), CELLS_PER_TILE as i64, &mut self.fine, square.side as i64, at);
-            let coarse = COARSE as i64;
-            let at = at.map(|c| c.div_euclid(coarse));
-            paste(tile.coarse(), CELLS_PER_TILE as i64 / coarse, &mut self.coarse, coarse_side as i64, at);
-            let squares = KNOWN as i64;
-            let at = [first.x - square.origin.x, first.y - square.origin.y].map(|c| c.div_euclid(squares));
-            paste(tile.known(), CELLS_PER_TILE as i64 / squares, &mut self.known, known_side as i64, at);
+            match tile.weights() {
+                Weights::Whole { fine, coarse } => {
+                    paste(fine, CELLS_PER_TILE as i64, &mut self.fine, square.side as i64, at);
+                    let at = at.map(|cells| cells.div_euclid(COARSE as i64));
+                    paste(coarse, (CELLS_PER_TILE / COARSE) as i64, &mut self.coarse, coarse_side as i64, at);
+                }
+                Weights::Packed(weights) => {
+                    let at = at.map(|cells| cells.div_euclid(SQUARE as i64));
+                    weights.each(|x, y, weights| self.unpack([at[0] + x as i64, at[1] + y as i64], weights));
+                }
+            }
+            self.mark_known(tile, at.map(|cells| cells.div_euclid(KNOWN as i64)));
+        }
+    }
+
+    /// Puts a square of weights in its place, given in squares: into the image, and their means into the coarse one.
+    fn unpack(&mut self, at: [i64; 2], weights: &[u8; SQUARE * SQUARE]) {
+        let side = self.square().side;
+        let [Some(x), Some(y)] = at.map(|at| inside(at, side / SQUARE)) else { return };
+        for (row, from) in weights.chunks_exact(SQUARE).enumerate() {
+            self.fine[(y * SQUARE + row) * side + x * SQUARE..][..SQUARE].copy_from_slice(from);
+        }
+        const ALONG: usize = SQUARE / COARSE;
+        let (side, x, y) = (side / COARSE, x * ALONG, y * ALONG);
+        for (row, rows) in weights.chunks_exact(SQUARE * COARSE).enumerate() {
+            for column in 0..ALONG {
+                let cells = rows.chunks_exact(SQUARE).flat_map(|row| &row[column * COARSE..][..COARSE]);
+                let sum: u16 = cells.copied().map(u16::from).sum();
+                self.coarse[(y + row) * side + x + column] = sum.div_ceil((COARSE * COARSE) as u16) as u8;
+            }
+        }
+    }
+
+    /// Marks where the map has been; the tile's place is given in squares.
+    fn mark_known(&mut self, tile: &TileWeights, [x0, y0]: [i64; 2]) {
+        const SQUARES: usize = CELLS_PER_TILE / KNOWN;
+        let side = self.square().side / KNOWN;
+        for (row, column) in (0..SQUARES).flat_map(|row| (0..SQUARES).map(move |column| (row, column))) {
+            if let [Some(x), Some(y)] = [x0 + column as i64, y0 + row as i64].map(|at| inside(at, side)) {
+                self.known[y * side + x] = u8::from(tile.is_known(column, row));
+            }
         }
     }
 
@@ -161,11 +193,14 @@ impl MapView {
     }
 }
 
-fn reset(image: &mut Vec<u8>, len: usize, keep: bool) {
-    if !keep || image.len() != len {
-        image.clear();
-        image.resize(len, 0);
-    }
+fn reset(image: &mut Vec<u8>, len: usize) {
+    image.clear();
+    image.resize(len, 0);
+}
+
+/// An index, if it is one of so many.
+fn inside(at: i64, count: usize) -> Option<usize> {
+    usize::try_from(at).ok().filter(|at| *at < count)
 }
 
 /// Copies the part of a square image that lies on another one; `at` is where its first value goes.
@@ -204,7 +239,8 @@ mod tests {
         let mut view = MapView::default();
         view.assemble(square, std::slice::from_ref(&weights));
         let first = id.first_cell();
-        for (index, value) in weights.fine().iter().enumerate() {
+        let Weights::Whole { fine, .. } = weights.weights() else { panic!("it is not packed") };
+        for (index, value) in fine.iter().enumerate() {
             let (x, y) = (
                 first.x + index as i64 % 512 - square.origin.x,
                 first.y + index as i64 / 512 - square.origin.y,
@@ -221,6 +257,30 @@ mod tests {
         assert!(
             view.tile_at(square.corner().moved(-CELL_M, 0.0)).is_none() && view.tile_at(position).is_some()
         );
+    }
+
+    /// Catches: a packed tile that lies elsewhere, or whose means or known squares are others.
+    #[test]
+    fn a_packed_tile_looks_like_a_whole_one() {
+        let zone = Zone::from_epsg(32614).unwrap();
+        let position = MapPoint::new(600_010.0, 3_300_020.0);
+        let id = TileId::of(zone, position);
+        let cell = |i| Cell { hits: 1 + i % 7, passes: 2, presence: ALWAYS, ..Cell::default() };
+        let tile = Tile::from_cells((0..2000).map(|i| (i * 131, cell(i))).collect()).unwrap();
+        let find = |at| (at == id).then_some(&tile);
+        let square = MapSquare::around(zone, position, 50.0, 6.0);
+        let of = |weights| {
+            let mut view = MapView::default();
+            view.assemble(square, &[Arc::new(weights)]);
+            view
+        };
+        let (whole, packed) = (of(TileWeights::new(id, find)), of(TileWeights::packed(id, find)));
+        assert_eq!(whole.known, packed.known);
+        for (whole, packed) in [(&whole.fine, &packed.fine), (&whole.coarse, &packed.coarse)] {
+            assert_eq!(whole.len(), packed.len());
+            let most = whole.iter().zip(packed).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(most <= Some(17) && whole.iter().any(|weight| *weight > 50), "{most:?}");
+        }
     }
 
     /// Catches: a map's error computed from the avenue where the batch is aligned by the lane's fronts.

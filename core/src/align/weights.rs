@@ -6,11 +6,14 @@
 //! weighs more than what was there once. Bytes keep a tile in a quarter of a megabyte and sums exact, so
 //! that every engine finds the same maximum.
 
+use super::packed::PackedWeights;
 use super::smoothing::{self, CellMass, HALO};
 use crate::agreement::MapPointIndex;
 use crate::datum::Datum;
 use crate::evidence::Cell;
-use crate::geo::{CELL_M, CELLS_PER_TILE, TileId};
+use crate::geo::{CELL_M, CELLS_PER_TILE, TILE_M, TileId};
+use crate::near::NearPoints;
+use crate::point::MapPoint;
 use crate::tile::Tile;
 
 pub use super::smoothing::STEPS;
@@ -25,15 +28,40 @@ const KNOWN_REACH: i64 = 4;
 
 const SIDE: usize = CELLS_PER_TILE;
 
-/// A block of [`COARSE`] x [`COARSE`] cells with any hits: a possible source of one vote of a batch.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A block of [`COARSE`] x [`COARSE`] cells with any hits: a possible source of one vote of a batch. In six bytes, since a
+/// tile has a thousand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OccupiedBlock {
+    /// Mean position of its hits east and north of the tile's south-west corner, in 65536ths of the tile's side.
+    at: [u16; 2],
+    /// Its hits in one of the passes that saw it, in 256ths.
+    hits: u16,
+}
+
+impl OccupiedBlock {
+    /// Of a mean position in cells.
+    fn new(at: [f32; 2], hits: f32) -> Self {
+        const STEPS: f32 = 65536.0 / SIDE as f32;
+        Self { at: at.map(|cells| (cells * STEPS) as u16), hits: (hits * 256.0) as u16 }
+    }
+
     /// Mean position of its hits, metres east of the tile's south-west corner.
-    pub east_m: f32,
+    #[must_use]
+    pub fn east_m(&self) -> f64 {
+        f64::from(self.at[0]) * (TILE_M / 65536.0)
+    }
+
     /// The same, metres north of it.
-    pub north_m: f32,
-    /// Its hits in one of the passes that saw it.
-    pub hits: f32,
+    #[must_use]
+    pub fn north_m(&self) -> f64 {
+        f64::from(self.at[1]) * (TILE_M / 65536.0)
+    }
+
+    /// Its hits in one of the passes that saw it; no more than 255.
+    #[must_use]
+    pub fn hits(&self) -> f64 {
+        f64::from(self.hits) / 256.0
+    }
 }
 
 /// Hits, and the passes over their cells: how often a map was driven.
@@ -66,18 +94,28 @@ impl PassSums {
     }
 }
 
+/// A tile's weights, row-major, and the means of [`COARSE`] x [`COARSE`] of them.
+pub(super) enum Weights {
+    /// A byte each.
+    Whole { fine: Box<[u8]>, coarse: Box<[u8]> },
+    /// The means are made when they are asked for.
+    Packed(PackedWeights),
+}
+
+/// The points of a tile and its borders.
+enum Points {
+    Exact(MapPointIndex),
+    Packed(NearPoints),
+}
+
 /// One tile, ready to be aligned against; made of its hits and those just beyond its borders.
 pub struct TileWeights {
     /// The tile.
     pub id: TileId,
-    /// Weights, row-major.
-    fine: Box<[u8]>,
-    /// Mean weights of [`COARSE`] x [`COARSE`] cells.
-    coarse: Box<[u8]>,
-    /// For each square of [`KNOWN`] x [`KNOWN`] cells 1 where the map has been, 0 where nothing is known.
-    known: Box<[u8]>,
-    /// The points of the tile and its borders.
-    pub points: MapPointIndex,
+    weights: Weights,
+    /// For each square of [`KNOWN`] x [`KNOWN`] cells a bit, set where the map has been; a word a row.
+    known: Box<[u64]>,
+    points: Points,
     /// What stands in the tile itself, block by block.
     pub blocks: Box<[OccupiedBlock]>,
     /// Occupied cells of the tile itself.
@@ -91,22 +129,40 @@ pub struct TileWeights {
 }
 
 impl TileWeights {
-    /// Weighs a tile; `tile_at` gives it and its eight neighbours, where they exist.
+    /// Weighs a tile exactly, for folding, which must give the same map for ever; `tile_at` gives it and its eight neighbours,
+    /// where they exist.
     #[must_use]
     pub fn new<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
+        Self::with(id, tile_at, |masses| {
+            let fine = smoothing::weights(masses);
+            let corner = id.origin();
+            let position = |mass: &CellMass| corner.moved(mass.at[0] * CELL_M, mass.at[1] * CELL_M);
+            let points = MapPointIndex::new(masses.iter().map(position));
+            (Weights::Whole { coarse: pooled(&fine), fine }, Points::Exact(points))
+        })
+    }
+
+    /// Weighs a tile in a tenth of the bytes, for localizing. The answers are as good (docs/benchmarks/service.md).
+    #[must_use]
+    pub fn packed<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
+        Self::with(id, tile_at, |masses| {
+            let weights = PackedWeights::of(&smoothing::weights(masses));
+            (Weights::Packed(weights), Points::Packed(NearPoints::new(id, masses.iter().map(|mass| mass.at))))
+        })
+    }
+
+    fn with<'a>(
+        id: TileId,
+        tile_at: impl Fn(TileId) -> Option<&'a Tile>,
+        weigh: impl FnOnce(&[CellMass]) -> (Weights, Points),
+    ) -> Self {
         let empty = Tile::default();
         let own = tile_at(id).unwrap_or(&empty);
-        let masses = around(id, &tile_at);
-        let fine = smoothing::weights(&masses);
-        let corner = id.origin();
-        let points = MapPointIndex::new(
-            masses.iter().map(|CellMass { at: [x, y], .. }| corner.moved(x * CELL_M, y * CELL_M)),
-        );
+        let (weights, points) = weigh(&around(id, &tile_at));
         Self {
             id,
-            coarse: pooled(&fine),
+            weights,
             known: known(id, &tile_at),
-            fine,
             points,
             blocks: blocks(own),
             cells: own.len(),
@@ -116,33 +172,37 @@ impl TileWeights {
         }
     }
 
-    /// Weights by row-major index, [`STEPS`] to a unit of the logarithm.
-    #[must_use]
-    pub fn fine(&self) -> &[u8] {
-        &self.fine
+    /// The weights, [`STEPS`] to a unit of the logarithm.
+    pub(super) fn weights(&self) -> &Weights {
+        &self.weights
     }
 
-    /// Mean weights of coarse cells.
-    #[must_use]
-    pub fn coarse(&self) -> &[u8] {
-        &self.coarse
+    /// Has the map been in a square of [`KNOWN`] x [`KNOWN`] cells, by its column and row?
+    pub(super) fn is_known(&self, column: usize, row: usize) -> bool {
+        self.known[row] >> column & 1 == 1
     }
 
-    /// For each square of [`KNOWN`] x [`KNOWN`] cells 1 where the map has been, row-major.
+    /// Is a point of the map within so many metres of a position in the tile?
     #[must_use]
-    pub fn known(&self) -> &[u8] {
-        &self.known
+    pub fn is_near(&self, position: MapPoint, radius_m: f64) -> bool {
+        match &self.points {
+            Points::Exact(points) => points.distance_m(position).is_some_and(|distance| distance <= radius_m),
+            Points::Packed(points) => points.is_near(position, radius_m),
+        }
     }
 
     /// Bytes held, approximately.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.fine.len()
-            + self.coarse.len()
-            + self.known.len()
-            + self.points.bytes()
-            + size_of_val(&*self.blocks)
-            + size_of::<Self>()
+        let weights = match &self.weights {
+            Weights::Whole { fine, coarse } => fine.len() + coarse.len(),
+            Weights::Packed(weights) => weights.bytes(),
+        };
+        let points = match &self.points {
+            Points::Exact(points) => points.bytes(),
+            Points::Packed(points) => points.bytes(),
+        };
+        weights + points + size_of_val(&*self.known) + size_of_val(&*self.blocks) + size_of::<Self>()
     }
 }
 
@@ -171,9 +231,10 @@ fn around<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Vec<
 }
 
 /// Where the map has been: squares that have anything near them, in the tile or beyond its border.
-fn known<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Box<[u8]> {
+fn known<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Box<[u64]> {
     const SQUARES: i64 = (SIDE / KNOWN) as i64;
-    let mut known = vec![0; (SQUARES * SQUARES) as usize];
+    const _: () = assert!(SQUARES == 64);
+    let mut known = vec![0_u64; SQUARES as usize];
     let mut marked = vec![false; ((SQUARES + 2 * KNOWN_REACH) * (SQUARES + 2 * KNOWN_REACH)) as usize];
     for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
         let Some(tile) = tile_at(TileId { y: id.y + dy, x: id.x + dx, ..id }) else { continue };
@@ -190,10 +251,10 @@ fn known<'a>(id: TileId, tile_at: &impl Fn(TileId) -> Option<&'a Tile>) -> Box<[
             if std::mem::replace(mark, true) {
                 continue;
             }
+            let (from, to) = ((x - KNOWN_REACH).max(0), (x + KNOWN_REACH + 1).min(SQUARES));
+            let columns = (from..to).fold(0_u64, |columns, column| columns | 1 << column);
             for row in (y - KNOWN_REACH).max(0)..(y + KNOWN_REACH + 1).min(SQUARES) {
-                let from = row * SQUARES + (x - KNOWN_REACH).max(0);
-                let to = row * SQUARES + (x + KNOWN_REACH + 1).min(SQUARES);
-                known[from as usize..to.max(from) as usize].fill(1);
+                known[row as usize] |= columns;
             }
         }
     }
@@ -217,14 +278,7 @@ fn blocks(tile: &Tile) -> Box<[OccupiedBlock]> {
         *sum = std::array::from_fn(|i| sum[i] + more[i]);
     }
     let occupied = sums.into_iter().filter(|[_, _, hits, _]| *hits > 0.0);
-    let mean = |sum: f32, hits: f32| sum / hits * CELL_M as f32;
-    occupied
-        .map(|[x, y, hits, of_a_pass]| OccupiedBlock {
-            east_m: mean(x, hits),
-            north_m: mean(y, hits),
-            hits: of_a_pass,
-        })
-        .collect()
+    occupied.map(|[x, y, hits, of_a_pass]| OccupiedBlock::new([x / hits, y / hits], of_a_pass)).collect()
 }
 
 /// Means of [`COARSE`] x [`COARSE`] cells, rounded up so that a trace of structure is not lost.
@@ -264,16 +318,24 @@ mod tests {
         Tile::from_cells(cells.iter().map(|(index, offset)| (*index, cell(*offset))).collect()).unwrap()
     }
 
+    fn whole(weights: &TileWeights) -> (&[u8], &[u8]) {
+        match weights.weights() {
+            Weights::Whole { fine, coarse } => (fine, coarse),
+            Weights::Packed(_) => panic!("it is not packed"),
+        }
+    }
+
     #[test]
     fn the_weight_is_highest_where_the_hits_were_and_falls_off_evenly() {
         let hit = tile(&[(30 * 512 + 20, [128, 128])]);
         let weights = TileWeights::new(id(), |at| (at == id()).then_some(&hit));
-        let at = |x: usize, y: usize| weights.fine()[y * 512 + x];
-        assert_eq!(weights.fine().iter().max(), Some(&at(20, 30)));
+        let (fine, coarse) = whole(&weights);
+        let at = |x: usize, y: usize| fine[y * 512 + x];
+        assert_eq!(fine.iter().max(), Some(&at(20, 30)));
         // A kernel's centre is rounded to an eighth of a cell.
         assert!(at(18, 30).abs_diff(at(22, 30)) <= 2 && at(20, 28).abs_diff(at(20, 32)) <= 2);
         assert!(at(20, 30) > at(22, 30) && at(22, 30) > at(24, 30) && at(40, 30) == 0);
-        assert!(weights.coarse()[7 * 128 + 5] > 0);
+        assert!(coarse[7 * 128 + 5] > 0);
     }
 
     #[test]
@@ -282,8 +344,30 @@ mod tests {
         let hit = tile(&[(30 * 512, [0, 128])]);
         let find = |at| (at == east).then_some(&hit);
         let (west, own) = (TileWeights::new(id(), find), TileWeights::new(east, find));
-        let difference = i32::from(west.fine()[30 * 512 + 511]) - i32::from(own.fine()[30 * 512]);
-        assert!(difference.abs() <= 2 && own.fine()[30 * 512] > 0, "{difference}");
+        let (fine_west, fine) = (whole(&west).0, whole(&own).0);
+        let difference = i32::from(fine_west[30 * 512 + 511]) - i32::from(fine[30 * 512]);
+        assert!(difference.abs() <= 2 && fine[30 * 512] > 0, "{difference}");
         assert_eq!((west.cells, own.cells), (0, 1));
+    }
+
+    /// Catches: packing that grows a tile, or that knows of other points.
+    #[test]
+    fn a_packed_tile_is_small_and_near_the_same_points() {
+        let hits: Vec<_> = (0..400).map(|at| (at * 512 + 17 + at % 3, [at % 256, 90])).collect();
+        let hits = tile(&hits);
+        let find = |at| (at == id()).then_some(&hits);
+        let (exact, packed) = (TileWeights::new(id(), find), TileWeights::packed(id(), find));
+        assert!(packed.bytes() * 8 < exact.bytes(), "{} of {}", packed.bytes(), exact.bytes());
+        let along = |i: u32| id().origin().moved(f64::from(i % 60) * 0.09, f64::from(i / 60) * 0.17);
+        let same = (0..12_000).filter(|i| exact.is_near(along(*i), 0.3) == packed.is_near(along(*i), 0.3));
+        assert!(same.count() > 11_500);
+    }
+
+    #[test]
+    fn a_block_keeps_where_it_is_and_how_often_it_is_hit() {
+        let block = OccupiedBlock::new([511.9, 17.3], 3.7);
+        assert!((block.east_m() - 51.19).abs() < 1e-3 && (block.north_m() - 1.73).abs() < 1e-3);
+        assert!((block.hits() - 3.7).abs() < 0.01);
+        assert!((OccupiedBlock::new([0.0, 0.0], 1e6).hits() - 256.0).abs() < 0.01, "it is bounded");
     }
 }

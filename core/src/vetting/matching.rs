@@ -196,9 +196,8 @@ fn matched(ranking: &Ranking, limits: &MatchingLimits) -> PartMatch {
     let start = Candidate { correction: best.correction, score: best.score, at_edge: best.at_edge };
     let sharp = refine(&ranking.field.sharpened(), points, prior, &start);
     let background = ranking.background(question.lattice.half_widths().0);
-    let near = |d: f64| d <= limits.covered_within_m;
     let covered = |position: MapPoint| {
-        view.tile_at(position).and_then(|tile| tile.points.distance_m(position)).is_some_and(near)
+        view.tile_at(position).is_some_and(|tile| tile.is_near(position, limits.covered_within_m))
     };
     PartMatch {
         error: sharp.correction,

@@ -169,7 +169,7 @@ impl InProcessService {
         for id in square.tiles() {
             stored.extend(self.store.tile(id)?.map(|found| (id, found.tile)));
         }
-        let weighed = |id: &TileId| Arc::new(TileWeights::new(*id, |at| stored.get(&at).map(|t| &**t)));
+        let weighed = |id: &TileId| Arc::new(TileWeights::packed(*id, |at| stored.get(&at).map(|t| &**t)));
         let tiles = stored.keys().map(weighed).collect();
         Ok(Case { square, tiles, batch, prior, search, integrity: self.config.locating.integrity() })
     }

@@ -73,9 +73,21 @@ pub(super) async fn once(
     service: &ServiceProcess,
     recording: &DriveQuestions,
 ) -> anyhow::Result<Vec<Answered>> {
+    within(service, recording, 0..recording.count()).await
+}
+
+/// The same with a part of the requests.
+///
+/// # Errors
+/// When the service cannot be reached.
+pub(super) async fn within(
+    service: &ServiceProcess,
+    recording: &DriveQuestions,
+    part: std::ops::Range<usize>,
+) -> anyhow::Result<Vec<Answered>> {
     let localizer = patient_localizer(&service.grpc)?;
-    let mut answers = Vec::with_capacity(recording.count());
-    for index in 0..recording.count() {
+    let mut answers = Vec::with_capacity(part.len());
+    for index in part {
         let from = Instant::now();
         let answer = reached(localizer.ask(recording.question(index)).await)?;
         answers.push((index, answer, milliseconds(from)));

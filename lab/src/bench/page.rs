@@ -176,6 +176,7 @@ fn street(cold: &Cold) -> String {
     row("ms for the map window of a request, 50 / 99 %", both(cold.window_ms));
     row("... of the same requests again, from the cache", both(cold.cached_ms));
     row("CPU ms a street km, beyond the same requests again", or_unknown(cold.cpu_ms_per_km, 0));
-    row("memory of the process a street km, MB", or_unknown(cold.memory_mb_per_km, 1));
+    row("memory of the process once, MB", or_unknown(cold.memory.map(|line| line.once_mb), 1));
+    row("... and a street km, MB", or_unknown(cold.memory.map(|line| line.mb_per_km), 2));
     table
 }

@@ -173,7 +173,7 @@ impl Windows {
     /// The prepared tiles of a square.
     pub fn weights(&self, map: &RadarMap, square: MapSquare) -> Vec<Arc<TileWeights>> {
         let known = square.tiles().filter(|id| map.tile(*id).is_some());
-        let prepare = |id| Arc::new(TileWeights::new(id, |at| map.tile(at)));
+        let prepare = |id| Arc::new(TileWeights::packed(id, |at| map.tile(at)));
         known.map(|id| self.tiles.get_with((map.key, id), || prepare(id))).collect()
     }
 

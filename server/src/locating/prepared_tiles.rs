@@ -85,6 +85,6 @@ impl Reading<'_> {
                 unknown.insert(self.store.tile(id)?.map(|stored| stored.tile));
             }
         }
-        Ok(Arc::new(TileWeights::new(key.id, |id| self.known.get(&id)?.as_deref())))
+        Ok(Arc::new(TileWeights::packed(key.id, |id| self.known.get(&id)?.as_deref())))
     }
 }

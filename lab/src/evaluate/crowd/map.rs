@@ -116,7 +116,7 @@ struct OthersEvidence<'a> {
 impl MapSide for OthersEvidence<'_> {
     fn weights(&self, id: TileId) -> Option<Arc<TileWeights>> {
         let FoldedMap { tiles, ledgers, prepared } = self.folded;
-        let prepare = || Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
+        let prepare = || Arc::new(TileWeights::packed(id, |at| tiles.get(&at)));
         let others = has_other_contributors(tiles.get(&id)?, ledgers.get(&id)?, self.contributor);
         let mut prepared = prepared.lock().unwrap_or_else(PoisonError::into_inner);
         others.then(|| Arc::clone(prepared.entry(id).or_insert_with(prepare)))

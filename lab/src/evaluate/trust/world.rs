@@ -29,7 +29,7 @@ impl ServedMap {
     pub fn weights(&mut self, square: MapSquare) -> Vec<Arc<TileWeights>> {
         let Self { tiles, prepared } = self;
         let known = square.tiles().filter(|id| tiles.contains_key(id));
-        let prepare = |id: TileId| Arc::new(TileWeights::new(id, |at| tiles.get(&at)));
+        let prepare = |id: TileId| Arc::new(TileWeights::packed(id, |at| tiles.get(&at)));
         known.map(|id| Arc::clone(prepared.entry(id).or_insert_with(|| prepare(id)))).collect()
     }
 }
