@@ -94,12 +94,12 @@ impl MapView {
 
     /// Puts a square of weights in its place, given in squares: into the image, and their means into the coarse one.
     fn unpack(&mut self, at: [i64; 2], weights: &[u8; SQUARE * SQUARE]) {
+        const ALONG: usize = SQUARE / COARSE;
         let side = self.square().side;
         let [Some(x), Some(y)] = at.map(|at| inside(at, side / SQUARE)) else { return };
         for (row, from) in weights.chunks_exact(SQUARE).enumerate() {
             self.fine[(y * SQUARE + row) * side + x * SQUARE..][..SQUARE].copy_from_slice(from);
         }
-        const ALONG: usize = SQUARE / COARSE;
         let (side, x, y) = (side / COARSE, x * ALONG, y * ALONG);
         for (row, rows) in weights.chunks_exact(SQUARE * COARSE).enumerate() {
             for column in 0..ALONG {
