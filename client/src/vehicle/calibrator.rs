@@ -3,10 +3,13 @@
 use std::collections::VecDeque;
 
 use echofix_core::calibration::{CalibrationConfig, Estimated, RadarCalibration, SelfCalibration};
-use echofix_core::odometry::Trajectory;
+use echofix_core::drive::GeoPose;
+use echofix_core::odometry::{BodyVelocity, Trajectory};
 use echofix_core::own_error::MountSigma;
 use echofix_core::pose::{Pose2, wrap_angle};
 use echofix_core::scan::{Mount, Scan};
+
+use super::fixes::{Applied, FixCalibrator};
 
 /// What becomes of the calibration that a vehicle estimates while it drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -60,6 +63,7 @@ pub(super) struct Calibrator {
     config: VehicleCalibration,
     built: Vec<Mount>,
     estimator: SelfCalibration,
+    fixes: FixCalibrator,
     odometry: Trajectory,
     waiting: VecDeque<Scan>,
     looked_us: i64,
@@ -73,6 +77,7 @@ impl Calibrator {
         Self {
             radars: built.iter().map(radar).collect(),
             estimator: SelfCalibration::new(config.estimate, &built),
+            fixes: FixCalibrator::new(&config.estimate),
             odometry: Trajectory::default(),
             waiting: VecDeque::new(),
             looked_us: i64::MIN,
@@ -112,6 +117,31 @@ impl Calibrator {
                 *radar = in_use(&self.built[sensor], &estimate, &self.config);
             }
         }
+        self.config.mode == CalibrationUse::Apply
+    }
+
+    /// What was applied to a batch of scans between two times that was put together now.
+    pub(super) fn applied(&self, from_us: i64, to_us: i64) -> Applied {
+        let (built, used) = (self.built.first(), self.radars.first());
+        let shift =
+            |of: fn(&Mount) -> f64| built.zip(used).map_or(0.0, |(built, used)| of(&used.mount) - of(built));
+        let late_s = self.fixes.late_over(from_us, to_us);
+        Applied { late_s, forward_m: shift(|mount| mount.x_m), left_m: shift(|mount| mount.y_m) }
+    }
+
+    /// Takes a fix that may be used, with the body in odometry's frame and its velocity then, and what was applied to its
+    /// batch; true when the radars in use have changed. Radial speeds say more of each radar, where there are any.
+    pub(super) fn push_fix(&mut self, fix: &GeoPose, body: (Pose2, BodyVelocity), applied: &Applied) -> bool {
+        let by_doppler = (0..self.built.len()).any(|sensor| self.estimator.radar(sensor).is_some());
+        if self.config.mode == CalibrationUse::Off || by_doppler {
+            return false;
+        }
+        let Some(estimate) = self.fixes.add(fix, body, applied) else { return false };
+        for (built, radar) in self.built.iter().zip(&mut self.radars) {
+            *radar = in_use(built, &estimate, &self.config);
+        }
+        let now_us = self.odometry.last().map_or(fix.time_us, |(time_us, _)| time_us);
+        self.fixes.apply_late(now_us, self.radars.first().map_or(0.0, |radar| radar.late_s));
         self.config.mode == CalibrationUse::Apply
     }
 

@@ -12,8 +12,9 @@
 //! their mounts are off, from radial speeds against odometry. What is stated holds until the drive refutes it; then it is
 //! corrected, and each question declares how well mounts and clocks are known, which the answer's levels take in. A late
 //! clock shows with the first start or stop, a turned mount within seconds, a shifted one with the turns of some minutes.
-//! A turn that all mounts share is told from a body that slides only where its origin is the rear axle. Radars without
-//! radial speeds are not calibrated: state their errors.
+//! A turn that all mounts share is told from a body that slides only where its origin is the rear axle. Where no radar
+//! measures radial speeds, the fixes show what all radars share: a late clock and a shift, from how the fixes lie beside
+//! odometry as speed and turn change. That takes minutes, and of the boresight it says nothing: state its error.
 //!
 //! The vehicle has no clock: now is the time of the newest odometry pose. Asking does not borrow
 //! it, so sensors can be fed while an answer is on its way.
@@ -21,6 +22,7 @@
 mod anchor;
 mod calibrator;
 mod config;
+mod fixes;
 mod verdict;
 mod window;
 
@@ -34,7 +36,7 @@ use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::Dropped;
 use echofix_core::geo;
-use echofix_core::odometry::{self, OdometryQuality, Trajectory};
+use echofix_core::odometry::{self, BodyVelocity, OdometryQuality, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
 use echofix_proto::v1;
@@ -42,6 +44,7 @@ use echofix_proto::v1;
 use crate::wire;
 use anchor::Anchor;
 use calibrator::Calibrator;
+use fixes::Applied;
 use window::ScanWindow;
 
 /// Why a measurement is not taken.
@@ -119,6 +122,10 @@ pub struct LocalizationQuestion {
     time_us: i64,
     /// The odometry pose at that time, and the metres travelled until then.
     odometry: (Pose2, f64),
+    /// The body's velocity then.
+    velocity: Option<BodyVelocity>,
+    /// What was corrected of stamps and mounts.
+    applied: Applied,
 }
 
 impl LocalizationQuestion {
@@ -249,7 +256,9 @@ impl Vehicle {
                 alert_limit_m: self.config.alert_limits.on_the_wire_m(),
             }),
         };
-        Ok(LocalizationQuestion { request, time_us, odometry })
+        let velocity = self.window.odometry().velocity_at(time_us);
+        let applied = self.calibrator.applied(first.time_us, time_us);
+        Ok(LocalizationQuestion { request, time_us, odometry, velocity, applied })
     }
 
     /// Judges the answer to a question; one that may be used becomes the pose believed.
@@ -268,7 +277,17 @@ impl Vehicle {
         let fix = verdict::judge(answer, question.time_us, now_us, &self.config)?;
         self.anchor = Some(Anchor::new(fix.pose, question.odometry));
         self.last_fix_us = Some(question.time_us);
+        self.calibrate_by(&fix, question);
         Ok(fix)
+    }
+
+    /// A fix that rests on the map alone is evidence of clock and lever arm.
+    fn calibrate_by(&mut self, fix: &Fix, question: &LocalizationQuestion) {
+        let Some(velocity) = question.velocity.filter(|_| !fix.contains_prior) else { return };
+        let body = (question.odometry.0, velocity);
+        if self.calibrator.push_fix(&fix.pose, body, &question.applied) {
+            self.window.set_mounts(self.calibrator.radars().iter().map(|radar| radar.mount));
+        }
     }
 
     /// Where the vehicle believes to be at the newest odometry pose; `None` without a pose to

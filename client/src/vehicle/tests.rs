@@ -221,3 +221,71 @@ fn radial_speeds_in_another_convention_are_asked_for() {
     assert_eq!(batch.suspected, [v1::Convention::RadialSpeedTowards as i32]);
     assert_eq!(batch.dropped.unwrap().moving, 51 * 20);
 }
+
+/// Where a vehicle truly is that speeds up, slows down and turns, every 20 ms from [`T0`] on.
+fn winding_way(seconds: usize) -> Vec<Pose2> {
+    let mut way = vec![Pose2::IDENTITY];
+    for step in 0..50 * seconds {
+        let t = 0.02 * (step as f64 + 0.5);
+        let (speed, turn) = (7.0 + 5.0 * (0.4 * t).sin(), 0.3 * (0.23 * t).sin());
+        way.push(way[step].compose(&Pose2::new(0.02 * speed, 0.0, 0.02 * turn)));
+    }
+    way
+}
+
+/// Drives so for three minutes with a radar without radial speeds, whose stamps come 60 ms late. A fix a second is what the
+/// service would make of it: where the body was when the newest scan was taken, give or take some centimetres.
+fn driven_late(mode: CalibrationUse) -> (Vehicle, Vec<f32>) {
+    const LATE_US: i64 = 60_000;
+    let way = winding_way(180);
+    let at = |time_us: i64| way[usize::try_from((time_us - T0) / 20_000).unwrap()];
+    let calibration = VehicleCalibration { mode, ..Default::default() };
+    let config = VehicleConfig { calibration, ..VehicleConfig::default() };
+    let mut vehicle = Vehicle::new(config, vec![Mount::new(3.5, 0.0, 0.0)]);
+    let grid = geo::Grid::of(START).unwrap();
+    let start = grid.pose_from_geodetic(START, 0.0).unwrap();
+    let scale = grid.scale_factor(START).unwrap();
+    let mut declared_s = Vec::new();
+    for (step, pose) in (0_i64..).zip(&way) {
+        let time_us = T0 + 20_000 * step;
+        vehicle.push_odometry(time_us, *pose).unwrap();
+        if step % 5 == 0 && step > 5 {
+            let scan = Scan { time_us, range_m: vec![9.0; 3], azimuth_rad: vec![0.1; 3], ..Scan::default() };
+            vehicle.push_scan(scan).unwrap();
+        }
+        if step % 50 != 10 || step < 100 {
+            continue;
+        }
+        if vehicle.position().is_none() {
+            vehicle.push_pose(gnss(time_us, 2.0, 0.02)).unwrap();
+        }
+        let question = vehicle.question().unwrap();
+        // The newest scan was pushed with this pose.
+        let noise_m = 0.05 * ((step * 7919 % 13) as f64 / 6.0 - 1.0);
+        let shown = at(time_us - LATE_US).compose(&Pose2::new(noise_m, -noise_m, 0.02 * noise_m));
+        let scaled = Pose2::new(scale * shown.x_m, scale * shown.y_m, shown.yaw_rad);
+        let (at, yaw_rad) = grid.pose_to_geodetic(&start.compose(&scaled)).unwrap();
+        let mut answer = usable_answer(question.time_us());
+        answer.pose = Some(v1::GeodeticPose { latitude_deg: at.lat_deg, longitude_deg: at.lon_deg, yaw_rad });
+        vehicle.accept(&question, &answer).unwrap();
+        let mounts = &question.request.batch.as_ref().unwrap().mounts;
+        declared_s.push(mounts[0].sigma_time_s.unwrap());
+    }
+    (vehicle, declared_s)
+}
+
+/// Catches fixes that are not made use of, a correction with the wrong sign or one that is estimated again after it was
+/// applied, and an error that is only to be reported and is not declared.
+#[test]
+fn without_radial_speeds_fixes_show_a_late_clock() {
+    let (vehicle, declared_s) = driven_late(CalibrationUse::Apply);
+    let radar = vehicle.radars()[0];
+    assert!((radar.late_s - 0.06).abs() < 0.01 && radar.sigma.time_s < 0.01, "{radar:?}");
+    assert!((radar.mount.x_m - 3.5).abs() < 0.05 && radar.mount.y_m.abs() < 0.05, "{radar:?}");
+    assert!(declared_s.iter().all(|sigma| *sigma > 1e-4), "{declared_s:?}");
+    let (vehicle, declared_s) = driven_late(CalibrationUse::Report);
+    let radar = vehicle.radars()[0];
+    assert!(radar.late_s.abs() < 1e-12 && *declared_s.last().unwrap() > 0.04, "{radar:?}");
+    let (vehicle, _) = driven_late(CalibrationUse::Off);
+    assert_eq!(vehicle.radars()[0].estimate, None);
+}

@@ -31,7 +31,9 @@ pub struct Fix {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Rejection {
-    /// The service says not to.
+    /// The service says not to. Where the status is `PRIOR_OUTSIDE_SEARCH`, the pose believed is off by more than its
+    /// sigmas say: a vehicle that gets it again and again should [forget](super::Vehicle::forget_position) that pose, or push
+    /// one with honest sigmas.
     #[error("the service says not to use the answer ({}): {reason}", .status.as_str_name())]
     Status {
         /// The status of the answer.
@@ -194,7 +196,7 @@ mod tests {
 
     #[test]
     fn no_status_but_usable_is_used() {
-        for status in 0..=8 {
+        for status in 0..=9 {
             let answer = v1::LocalizeResponse { status, ..usable_answer(T0) };
             let used = verdict(&answer, &VehicleConfig::default()).is_ok();
             assert_eq!(used, status == v1::FixStatus::Usable as i32, "{status}");

@@ -103,8 +103,9 @@ pub enum Verdict {
         /// The fraction of the batch that is on mapped structure.
         matched_fraction: f64,
     },
-    /// The best pose lies on the edge of the search, or the objects in view prefer one beyond it: the prior is wrong by
-    /// more than its sigmas allow.
+    /// The best pose lies on the edge of the search, or the objects in view prefer one beyond it, or they prefer the answer
+    /// to every other pose, but less clearly than the prior expects something else: the prior is wrong by more than its
+    /// sigmas allow, or the answer is a chance hill far from it.
     PriorOutsideSearch,
     /// The map covers too little of what the batch saw.
     TooLittleMap {
@@ -143,6 +144,8 @@ pub(super) fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) 
     let sigma_m = worst_sigma_m(&answer.covariance);
     let Alignment { thinned_points: points, coverage, contrast, margin, .. } = *answer;
     let contested = margin < integrity.min_margin + answer.surprise;
+    // Were it nearer to the prior, the answer would pass: not a rival speaks against it, but the prior.
+    let unexpected = contested && margin >= integrity.min_margin;
     let displaced = margin < 0.0 && answer.rival.is_some_and(|rival| rival.beyond);
     if points < integrity.min_points {
         Verdict::TooLittleStructure { points, sigma_m }
@@ -150,7 +153,7 @@ pub(super) fn verdict(answer: &Alignment, at_edge: bool, integrity: &Integrity) 
         Verdict::TooLittleMap { coverage }
     } else if contested && contrast < integrity.lost_below {
         Verdict::Lost { contrast }
-    } else if at_edge || displaced {
+    } else if at_edge || displaced || unexpected {
         Verdict::PriorOutsideSearch
     } else if contested {
         contested_verdict(answer, integrity)
@@ -240,7 +243,8 @@ pub(super) mod tests {
         assert!(matches!(judged(|a| a.margin = 1.0), Verdict::Ambiguous { along_track: true, .. }));
         let aside = judged(|a| (a.margin, a.rival) = (1.0, Some(rival(0.0, 5.0, false))));
         assert!(matches!(aside, Verdict::Ambiguous { along_track: false, .. }), "{aside:?}");
-        assert!(matches!(judged(|a| (a.margin, a.surprise) = (6.0, 5.0)), Verdict::Ambiguous { .. }));
+        assert_eq!(judged(|a| (a.margin, a.surprise) = (6.0, 5.0)), Verdict::PriorOutsideSearch);
+        assert!(matches!(judged(|a| (a.margin, a.surprise) = (1.9, 5.0)), Verdict::Ambiguous { .. }));
         assert_eq!(judged(|a| (a.margin, a.surprise) = (7.1, 5.0)), Verdict::Usable);
         let displaced = judged(|a| (a.margin, a.rival) = (-1.0, Some(rival(15.0, 0.0, true))));
         assert_eq!(displaced, Verdict::PriorOutsideSearch);

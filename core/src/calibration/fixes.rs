@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 
 use super::equation::ScanEquations;
 use super::evidence::{Evidence, SIZE};
-use super::{CalibrationConfig, Estimated};
+use super::{CalibrationConfig, CalibrationSigma, Estimated};
 use crate::odometry::BodyVelocity;
 use crate::pose::Pose2;
 
@@ -34,6 +34,7 @@ pub struct FixSeen {
 #[derive(Debug, Clone)]
 pub struct FixCalibration {
     evidence: Evidence,
+    floors: CalibrationSigma,
     last: Option<FixSeen>,
 }
 
@@ -55,10 +56,11 @@ const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 1e-3;
 
 impl FixCalibration {
-    /// No fix yet. Of the configuration the prior counts, and the stretches.
+    /// No fix yet. Of the configuration the prior and the floors count, and the stretches.
     #[must_use]
     pub fn new(config: &CalibrationConfig) -> Self {
-        Self { evidence: Evidence::new(&CalibrationConfig { alike: 1.0, ..*config }), last: None }
+        let evidence = Evidence::new(&CalibrationConfig { alike: 1.0, ..*config });
+        Self { evidence, floors: config.floors, last: None }
     }
 
     /// Takes the next fix.
@@ -76,9 +78,16 @@ impl FixCalibration {
     pub fn shared(&self) -> Option<SharedCalibration> {
         (self.evidence.scans() > 0).then(|| {
             let (solution, covariance) = (self.evidence.solved(), self.evidence.covariance());
-            let number =
-                |i: usize| Estimated { value: solution.0[i], sigma: covariance[(i, i)].max(0.0).sqrt() };
-            SharedCalibration { late_s: number(0), forward_m: number(2), left_m: number(3) }
+            let number = |i: usize, floor: f64| Estimated {
+                value: solution.0[i],
+                sigma: covariance[(i, i)].max(0.0).sqrt().hypot(floor),
+            };
+            let CalibrationSigma { late_s, forward_m, left_m, .. } = self.floors;
+            SharedCalibration {
+                late_s: number(0, late_s),
+                forward_m: number(2, forward_m),
+                left_m: number(3, left_m),
+            }
         })
     }
 }

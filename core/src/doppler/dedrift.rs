@@ -1,8 +1,8 @@
 //! Odometry, corrected by the velocities the radars measured.
 //!
-//! Over a batch, odometry errs by a velocity that hardly changes: a scale of the wheels, a bias of the
+//! Over a batch, odometry errs by a velocity that hardly changes: a slip of the wheels, a bias of the
 //! gyro. So its error while it moves is taken for a straight line in time, in each of forward, left and
-//! yaw rate, and fitted to what the radars measure. Each interval between two estimates is compared as a whole:
+//! yaw rate, with a scale of the way beside it, and fitted to what the radars measure. Each interval between two estimates is compared as a whole:
 //! the noise of single odometry poses cancels, for where one interval ends the next begins.
 //!
 //! A radar's own errors, above all a mount that is turned by some tenths of a degree, last over a batch and do not
@@ -11,13 +11,14 @@
 //! that slip, a wrong mount), nothing is corrected, and the odometry's quality says so.
 
 mod fit;
+mod line;
 
-use nalgebra::{Matrix3x6, Matrix6, SVector};
+use nalgebra::Matrix6;
 
 use super::ego::{EgoConfig, Standing, standing};
 use crate::odometry::{BodyVelocity, OdometryQuality, Trajectory};
-use crate::pose::Pose2;
 use crate::scan::{Mount, ScanView, in_time_order};
+use line::{EstimateSpan, effect};
 
 /// How odometry may err.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,6 +29,9 @@ pub struct OdometryBias {
     pub left_mps: f64,
     /// One-sigma error of the yaw rate, radians per second.
     pub yaw_rate_radps: f64,
+    /// One-sigma error of the way as a fraction of it: what wheels have. Without it a batch of changing speed would find it
+    /// in the radars.
+    pub scale: f64,
     /// Estimates that err alike: so many count as one. What stands along a street draws all of them
     /// the same way.
     pub alike: f64,
@@ -43,6 +47,7 @@ impl Default for OdometryBias {
             velocity_mps: 0.1,
             left_mps: 0.05,
             yaw_rate_radps: 0.2_f64.to_radians(),
+            scale: 0.01,
             alike: 4.0,
             group_s: 0.1,
         }
@@ -65,7 +70,7 @@ pub struct Dedrifted {
     /// What was added to the velocity in the middle of the scans.
     pub correction: BodyVelocity,
     /// Covariance of (forward m/s, left m/s, yaw rate rad/s) in the middle, and of their changes from there to the
-    /// end: the errors that the correction leaves.
+    /// end: the errors that the correction leaves, those of the scale among them.
     pub covariance: Matrix6<f64>,
     /// How good the trajectory is.
     pub quality: OdometryQuality,
@@ -75,10 +80,6 @@ pub struct Dedrifted {
     pub estimates: usize,
 }
 
-/// Six numbers: the error of (forward, left, yaw rate) in the middle, and how it changes from there to
-/// the end.
-type VelocityError = SVector<f64, 6>;
-
 /// What stood still around the vehicle within a short time.
 struct Estimate {
     time_us: i64,
@@ -87,9 +88,6 @@ struct Estimate {
 
 /// Estimates of the own velocity, fewer of which correct nothing.
 const MIN_ESTIMATES: usize = 5;
-
-/// Odometry that is slower says that the body stands, metres per second.
-const STANDING_MPS: f64 = 0.05;
 
 /// Corrects odometry by the radial speeds of the scans it organises, in any order; `None` where they say too
 /// little, as they do when the sensors do not measure them.
@@ -112,12 +110,15 @@ where
     let compared = beside_odometry(estimates, odometry, bias);
     let fit::Fitted { line, covariance, agrees } = fit::fitted(&compared, mounts.len(), &span, ego, bias)?;
     let estimates = compared.len();
+    let effect =
+        effect(compared.iter().map(|(estimate, v)| (span.fraction(estimate.time_us), v.forward_mps)));
+    let (mean, covariance) = (effect * line, effect * covariance * effect.transpose());
     if !agrees {
-        let quality = quality_of(&(covariance + line * line.transpose()));
+        let quality = quality_of(&(covariance + mean * mean.transpose()));
         let (trajectory, correction) = (odometry.clone(), BodyVelocity::default());
         return Some(Dedrifted { trajectory, correction, covariance, quality, agrees, estimates });
     }
-    let correction = BodyVelocity { forward_mps: line[0], left_mps: line[1], yaw_rate_radps: line[2] };
+    let correction = BodyVelocity { forward_mps: mean[0], left_mps: mean[1], yaw_rate_radps: mean[2] };
     let (trajectory, quality) = (span.corrected(odometry, &line)?, quality_of(&covariance));
     Some(Dedrifted { trajectory, correction, covariance, quality, agrees, estimates })
 }
@@ -174,56 +175,6 @@ fn beside_odometry(
         Some((estimate, odometry.velocity_between(from_us, to_us)?))
     };
     estimates.into_iter().enumerate().filter_map(beside).collect()
-}
-
-/// The time from the first estimate to the last.
-struct EstimateSpan {
-    first_us: i64,
-    last_us: i64,
-}
-
-impl EstimateSpan {
-    /// -1 at the first estimate and before, 1 at the last and after.
-    fn fraction(&self, time_us: i64) -> f64 {
-        let (middle, half) =
-            (i64::midpoint(self.first_us, self.last_us), (self.last_us - self.first_us) as f64 / 2.0);
-        ((time_us - middle) as f64 / half.max(1.0)).clamp(-1.0, 1.0)
-    }
-
-    /// Error of the velocity at a time, as a matrix on the line's numbers.
-    fn design(&self, time_us: i64) -> Matrix3x6<f64> {
-        let fraction = self.fraction(time_us);
-        let mut design = Matrix3x6::zeros();
-        for axis in 0..3 {
-            design[(axis, axis)] = 1.0;
-            design[(axis, axis + 3)] = fraction;
-        }
-        design
-    }
-
-    /// The way with every step corrected.
-    fn corrected(&self, odometry: &Trajectory, line: &VelocityError) -> Option<Trajectory> {
-        let (mut last_us, mut last) = odometry.first()?;
-        let mut pose = last;
-        let mut corrected = Trajectory::new([(last_us, pose)]).ok()?;
-        for (time_us, next) in odometry.iter().skip(1) {
-            let dt_s = (time_us - last_us) as f64 * 1e-6;
-            let step = last.between(&next);
-            // Wheels that stand do not err, and neither does a gyro that knows it.
-            let moved = step.x_m.hypot(step.y_m) > STANDING_MPS * dt_s;
-            let added = self.design(i64::midpoint(last_us, time_us)) * line * if moved { dt_s } else { 0.0 };
-            // What is added points along the body half-way through the step's turn.
-            let (s, c) = (0.5 * (step.yaw_rad + added.z)).sin_cos();
-            pose = pose.compose(&Pose2::new(
-                step.x_m + c * added.x - s * added.y,
-                step.y_m + s * added.x + c * added.y,
-                step.yaw_rad + added.z,
-            ));
-            corrected.push(time_us, pose).ok()?;
-            (last_us, last) = (time_us, next);
-        }
-        Some(corrected)
-    }
 }
 
 #[cfg(test)]

@@ -361,9 +361,9 @@ impl Locator {
         MapSquare::around(grid.zone(), MapPoint::of(&prior.pose), search.extent_m, reach_m)
     }
 
-    /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search
-    /// or nothing there explains the batch, and there is time for it. What it finds, far from the prior, is to be
-    /// asked for again, not to be used.
+    /// Relocalization: a search of a wide area with all headings, when the answer lies on the edge of the prior's search, the
+    /// prior hardly expects it or nothing there explains the batch, and there is time for it. What it finds, far from the
+    /// prior, is to be asked for again, not to be used.
     fn relocalize(
         &self,
         request: &LocateRequest,

@@ -3,36 +3,44 @@
 //! Detections of one radar are not independent: a mount that is turned by half a degree turns all of them, and at
 //! 17 m/s looks like 0.15 m/s to the left in every scan. So each radar's own errors are unknowns, too, with priors:
 //! they take what they can explain, and what is left says something of odometry.
+//!
+//! Nor are detections all that errs: of a radar with a thousand of them, odometry's noise from one estimate to the next is
+//! most of what estimates scatter by. So the scatter is what they are weighed by. Priors count against it: weighed by the
+//! detections alone, noise would find gains and turns that nobody's radar has.
 
-use nalgebra::{DMatrix, DVector, Matrix3x6, Matrix6, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector3};
 
-use super::{Estimate, EstimateSpan, OdometryBias, VelocityError};
+use super::line::{EstimateSpan, SCALE, SIZE as LINE, VelocityError};
+use super::{Estimate, OdometryBias};
 use crate::doppler::ego::{EgoConfig, Equation};
 use crate::odometry::BodyVelocity;
 
-/// Numbers of a velocity line, and of one radar's errors: mount's yaw, azimuth's gain, radial speed's gain.
-const LINE: usize = 6;
+/// Numbers of one radar's errors: mount's yaw, azimuth's gain, radial speed's gain.
 const RADAR: usize = 3;
 /// Rounds of reweighting.
 const ROUNDS: usize = 4;
 /// Degrees of freedom of what an estimate may be off: a jump of odometry or a bus beside the vehicle spoils one.
 const TAIL: f64 = 4.0;
+/// Median of the squared sigmas of three numbers.
+const MEDIAN: f64 = 2.366;
+/// Estimates that scatter by more than some sigmas more than they should: that is no noise any more.
+const MAX_SPREAD: f64 = 25.0;
 
 /// What was fitted.
 pub(super) struct Fitted {
     /// The error of odometry's velocity.
     pub line: VelocityError,
     /// Its covariance, the radars' own errors marginalised.
-    pub covariance: Matrix6<f64>,
+    pub covariance: SMatrix<f64, LINE, LINE>,
     /// Whether the error is one that odometry may have, and most estimates lie along it.
     pub agrees: bool,
 }
 
 /// An estimate's part of the equations: over its velocity and one radar's errors, by radar.
 struct Part {
-    design: Matrix3x6<f64>,
+    design: SMatrix<f64, 3, LINE>,
     /// Over the line's own numbers.
-    line: Option<(Matrix6<f64>, VelocityError)>,
+    line: Option<(SMatrix<f64, LINE, LINE>, VelocityError)>,
     radars: Vec<(usize, SMatrix<f64, 6, 6>, SVector<f64, 6>)>,
 }
 
@@ -48,18 +56,20 @@ pub(super) fn fitted(
         estimates.iter().map(|(e, odometric)| Part::of(e, odometric, span, ego, bias)).collect();
     let prior = prior(radars, ego, bias);
     let slip = slip(estimates, span, ego);
-    let mut weights = vec![1.0; parts.len()];
+    let (mut spread, mut weights) = (1.0, vec![1.0; parts.len()]);
     let mut solved = None;
     for _ in 0..ROUNDS {
         let (mut information, mut sum) = (DMatrix::from_diagonal(&prior), DVector::zeros(prior.len()));
         slip.add_to(1.0, &mut information, &mut sum);
         for (part, weight) in parts.iter().zip(&weights) {
-            part.add_to(*weight, &mut information, &mut sum);
+            part.add_to(weight / spread, &mut information, &mut sum);
         }
         let cholesky = information.cholesky()?;
         let solution = cholesky.solve(&sum);
-        for (part, weight) in parts.iter().zip(&mut weights) {
-            *weight = (TAIL + 3.0) / (TAIL + part.distance(&solution)).max(TAIL + 3.0);
+        let distances: Vec<_> = parts.iter().map(|part| part.distance(&solution)).collect();
+        spread = (median(distances.clone()) / MEDIAN).clamp(1.0, MAX_SPREAD);
+        for (distance, weight) in distances.iter().zip(&mut weights) {
+            *weight = (TAIL + 3.0) / (TAIL + distance / spread).max(TAIL + 3.0);
         }
         solved = Some((cholesky.inverse(), solution));
     }
@@ -74,8 +84,8 @@ pub(super) fn fitted(
     })
 }
 
-/// A line of six numbers lies farther out once in a thousand.
-const MAX_SQUARED_SIGMAS: f64 = 22.5;
+/// An error of seven numbers lies farther out once in a thousand.
+const MAX_SQUARED_SIGMAS: f64 = 24.3;
 /// An estimate of less weight lies apart from the line: some 5 sigma.
 const APART_WEIGHT: f64 = 0.25;
 /// One in so many estimates may lie apart.
@@ -84,8 +94,14 @@ const APART_SHARE: usize = 4;
 fn prior(radars: usize, ego: &EgoConfig, bias: &OdometryBias) -> DVector<f64> {
     let axes = [bias.velocity_mps, bias.left_mps, bias.yaw_rate_radps];
     let own = [ego.mount_yaw_rad, ego.azimuth_gain, ego.speed_gain];
-    let sigmas = axes.iter().cycle().take(LINE).chain(own.iter().cycle().take(RADAR * radars));
+    let odometry = axes.iter().cycle().take(SCALE).chain([&bias.scale]);
+    let sigmas = odometry.chain(own.iter().cycle().take(RADAR * radars));
     DVector::from_iterator(LINE + RADAR * radars, sigmas.map(|sigma| sigma.max(1e-9).powi(-2)))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// A tyre that holds a metre per second squared to the side slips by so many radians.
@@ -94,15 +110,15 @@ const SLIP_RAD_PER_MPS2: f64 = 0.01;
 /// That the rear axle hardly slides, as one equation: it errs alike all the time, by the axis of the body that is not
 /// the direction of travel, and in bends by the slip of the tyres.
 fn slip(estimates: &[(Estimate, BodyVelocity)], span: &EstimateSpan, ego: &EgoConfig) -> Part {
-    let (mut information, mut sum) = (Matrix6::zeros(), VelocityError::zeros());
+    let (mut information, mut sum) = (SMatrix::zeros(), VelocityError::zeros());
     for (estimate, v) in estimates {
         let turned_rad = ego.mount_yaw_rad.hypot(SLIP_RAD_PER_MPS2 * v.forward_mps * v.yaw_rate_radps);
         let weight = ego.sigma_left_mps.hypot(turned_rad * v.forward_mps).powi(-2) / estimates.len() as f64;
-        let row = span.design(estimate.time_us).row(1).transpose();
+        let row = span.design(estimate.time_us, v).row(1).transpose();
         information += row * row.transpose() * weight;
         sum -= row * v.left_mps * weight;
     }
-    Part { design: Matrix3x6::zeros(), radars: Vec::new(), line: Some((information, sum)) }
+    Part { design: SMatrix::zeros(), radars: Vec::new(), line: Some((information, sum)) }
 }
 
 impl Part {
@@ -134,30 +150,30 @@ impl Part {
             *information += weight * all * all.transpose();
             *sum += weight * (towards_mps - row.dot(&v)) * all;
         }
-        Self { design: span.design(estimate.time_us), line: None, radars }
+        Self { design: span.design(estimate.time_us, odometric), line: None, radars }
     }
 
     /// Adds its equations, spread over the line's numbers and the radars'.
     fn add_to(&self, weight: f64, information: &mut DMatrix<f64>, sum: &mut DVector<f64>) {
         if let Some((part, right)) = &self.line {
-            let mut view = information.fixed_view_mut::<6, 6>(0, 0);
+            let mut view = information.fixed_view_mut::<LINE, LINE>(0, 0);
             view += part * weight;
-            let mut view = sum.fixed_view_mut::<6, 1>(0, 0);
+            let mut view = sum.fixed_view_mut::<LINE, 1>(0, 0);
             view += right * weight;
         }
         for (sensor, part, right) in &self.radars {
             let at = LINE + RADAR * sensor;
             let (rows, own) = (part.fixed_view::<3, 3>(0, 0), part.fixed_view::<3, 3>(3, 3));
             let cross = self.design.transpose() * part.fixed_view::<3, 3>(0, 3) * weight;
-            let mut view = information.fixed_view_mut::<6, 6>(0, 0);
+            let mut view = information.fixed_view_mut::<LINE, LINE>(0, 0);
             view += self.design.transpose() * rows * self.design * weight;
             let mut view = information.fixed_view_mut::<3, 3>(at, at);
             view += own * weight;
-            let mut view = information.fixed_view_mut::<6, 3>(0, at);
+            let mut view = information.fixed_view_mut::<LINE, 3>(0, at);
             view += cross;
-            let mut view = information.fixed_view_mut::<3, 6>(at, 0);
+            let mut view = information.fixed_view_mut::<3, LINE>(at, 0);
             view += cross.transpose();
-            let mut view = sum.fixed_view_mut::<6, 1>(0, 0);
+            let mut view = sum.fixed_view_mut::<LINE, 1>(0, 0);
             view += self.design.transpose() * right.fixed_view::<3, 1>(0, 0) * weight;
             let mut view = sum.fixed_view_mut::<3, 1>(at, 0);
             view += right.fixed_view::<3, 1>(3, 0) * weight;

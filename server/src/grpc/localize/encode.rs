@@ -193,7 +193,7 @@ fn status_and_reason(alignment: &Alignment) -> (FixStatus, String) {
         ),
         Verdict::PriorOutsideSearch => (
             FixStatus::PriorOutsideSearch,
-            "the best pose lies on the edge of the search, or the objects in view prefer one beyond it; ask again from this one"
+            "the best pose lies on the edge of the search, or the objects in view prefer one beyond it, or the prior hardly expects it; ask again from this one"
                 .to_owned(),
         ),
         Verdict::Lost { contrast } => (
