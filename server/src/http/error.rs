@@ -8,6 +8,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
+use crate::sparse;
 use crate::store;
 
 /// Why a request was not answered.
@@ -22,6 +23,20 @@ pub enum Error {
     /// The route exists, the method does not.
     #[error("this method is not served here; see /openapi.json")]
     MethodNotAllowed,
+    /// The request is for another name than the port's.
+    #[error(
+        "this port does not answer to the name in the request's Host; use its address or localhost, or add the name to \
+         `http.hosts` of the configuration"
+    )]
+    WrongHost,
+    /// Another page asks for it.
+    #[error(
+        "a page of another origin asks for this; use the console of this port, or the command `echofix map`"
+    )]
+    WrongOrigin,
+    /// It is work, which no GET starts.
+    #[error("{0} is work: ask for it with POST")]
+    PostOnly(&'static str),
     /// The address is longer than any of ours.
     #[error("the address is longer than {limit} bytes")]
     AddressTooLong {
@@ -50,7 +65,9 @@ impl Error {
         match self {
             Self::BadRequest(_) => StatusCode::BAD_REQUEST,
             Self::NotFound(_) => StatusCode::NOT_FOUND,
-            Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            Self::MethodNotAllowed | Self::PostOnly(_) => StatusCode::METHOD_NOT_ALLOWED,
+            Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
+            Self::WrongOrigin => StatusCode::FORBIDDEN,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
@@ -68,7 +85,9 @@ impl Error {
         match self {
             Self::BadRequest(_) => "bad_request",
             Self::NotFound(_) => "not_found",
-            Self::MethodNotAllowed => "method_not_allowed",
+            Self::MethodNotAllowed | Self::PostOnly(_) => "method_not_allowed",
+            Self::WrongHost => "wrong_host",
+            Self::WrongOrigin => "wrong_origin",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
             Self::TimedOut { .. } => "timed_out",
@@ -86,8 +105,10 @@ impl Error {
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
         let status = self.status();
-        if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(error = %self, "request failed");
+        if status == StatusCode::INTERNAL_SERVER_ERROR
+            && let Some(left_out) = sparse::line("request failed")
+        {
+            tracing::error!(error = %self, left_out, "request failed");
         }
         let body = Json(json!({ "error": { "code": self.code(), "message": self.to_string() } }));
         let mut response = (status, body).into_response();

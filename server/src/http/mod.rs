@@ -1,6 +1,7 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
 //! - `error`: why a request was not answered, said once.
+//! - `origin`: which names the port answers to, and which pages may change anything.
 //! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
@@ -24,6 +25,7 @@ mod limits;
 mod live;
 mod openapi;
 mod operations;
+mod origin;
 mod probes;
 mod raster;
 #[cfg(test)]
@@ -32,7 +34,7 @@ pub(crate) mod testing;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::middleware::from_fn;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodRouter, get, post};
 use tokio::sync::watch;
 
@@ -43,6 +45,7 @@ use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
+pub use origin::Hosts;
 
 /// What the routes answer from.
 #[derive(Clone)]
@@ -70,8 +73,13 @@ struct App {
     limiter: limits::Limiter,
 }
 
-/// The routes, ready to be served.
+/// The routes, whatever name they are asked for by.
 pub fn router(state: HttpState) -> Router {
+    router_at(state, Hosts::any())
+}
+
+/// The routes of a port, ready to be served.
+pub fn router_at(state: HttpState, hosts: Hosts) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let app = Arc::new(App { state, artist, limiter: limits::Limiter::default() });
@@ -80,6 +88,7 @@ pub fn router(state: HttpState) -> Router {
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
+        .layer(from_fn_with_state(Arc::new(hosts), origin::guard))
         .layer(from_fn(limits::guard))
         .layer(RequestSpanLayer::http())
         .with_state(app)
@@ -108,7 +117,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/compact", post(operations::compact)),
         // Its former name, which older commands use.
         ("/api/v1/map/settle", post(operations::compact)),
-        ("/api/v1/map/verify", get(operations::verify)),
+        ("/api/v1/map/verify", get(operations::verify).post(operations::verify)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),
         ("/api/v1/map/backup", get(files::backup)),
