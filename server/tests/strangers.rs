@@ -13,8 +13,8 @@ use common::{NOON_US, TestServer, drive, header, header_of};
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{
-    Batch, EvidenceChunk, GeodeticPose, LocalizeRequest, Odometry, Prior, Requirement, SensorMount,
-    UploadRequest,
+    Batch, EvidenceChunk, GeodeticPose, LocalizeRequest, LocalizeStreamRequest, Odometry, Prior, Requirement,
+    SensorMount, UploadRequest,
 };
 use prost::Message;
 use tonic::body::Body;
@@ -22,6 +22,9 @@ use tonic::{Code, Status};
 use tonic_types::StatusExt;
 use tower::ServiceExt;
 use uuid::Uuid;
+
+/// Spoils a request, whose odometry comes along.
+type Spoil = fn(&mut LocalizeRequest, Odometry);
 
 const LOCALIZE: &str = "/echofix.v1.LocalizationService/Localize";
 const UPLOAD: &str = "/echofix.v1.MappingService/Upload";
@@ -152,7 +155,7 @@ async fn numbers_beyond_their_range_are_refused_with_their_field() {
         assert_eq!(field(request(risk)).await, None, "{risk}: refused for another reason");
     }
     let odometry = |request: &mut LocalizeRequest| request.batch.as_mut().unwrap().odometry.take().unwrap();
-    let spoils: [(&str, fn(&mut LocalizeRequest, Odometry)); 7] = [
+    let spoils: [(&str, Spoil); 7] = [
         ("requirement.alert_limit_m", |r, _| r.requirement.as_mut().unwrap().alert_limit_m = 1e9),
         ("prior.sigma_position_m", |r, _| r.prior.as_mut().unwrap().sigma_position_m = 1e-9),
         ("prior.sigma_yaw_rad", |r, _| r.prior.as_mut().unwrap().sigma_yaw_rad = 1e-12),
@@ -175,6 +178,25 @@ async fn numbers_beyond_their_range_are_refused_with_their_field() {
 
 fn set(request: &mut LocalizeRequest, odometry: Odometry) {
     request.batch.as_mut().unwrap().odometry = Some(odometry);
+}
+
+/// Catches: a stream that computes on for a vehicle that waits no more.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_ends_with_its_deadline() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = TestServer::start(dir.path()).await;
+    let mut client = LocalizationServiceClient::new(server.channel().await);
+    let (sender, receiver) = tokio::sync::mpsc::channel(4);
+    let mut asked = tonic::Request::new(tokio_stream::wrappers::ReceiverStream::new(receiver));
+    asked.set_timeout(Duration::from_millis(300));
+    let mut answers = client.localize_stream(asked).await.unwrap().into_inner();
+    let question = |sequence| LocalizeStreamRequest { sequence, request: Some(request(0.0)) };
+    sender.send(question(1)).await.unwrap();
+    assert_eq!(answers.message().await.unwrap().unwrap().sequence, 1);
+    tokio::time::sleep(Duration::from_millis(350)).await;
+    sender.send(question(2)).await.unwrap();
+    assert_eq!(answers.message().await.unwrap_err().code(), Code::DeadlineExceeded);
+    server.stop().await;
 }
 
 /// Catches: one upload of a wrong clock, by whose day the whole map would be old.
@@ -289,7 +311,7 @@ fn flooded(address: SocketAddr, kind: u8, payload: usize) -> Option<Duration> {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_write_timeout(Some(Duration::from_secs(1))).unwrap();
     let mut drain = stream.try_clone().unwrap();
-    std::thread::spawn(move || while drain.read(&mut [0; 65_536]).is_ok_and(|read| read > 0) {});
+    std::thread::spawn(move || while drain.read(&mut [0; 8_192]).is_ok_and(|read| read > 0) {});
     stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0").unwrap();
     let length = (payload as u32).to_be_bytes();
     // A window may grow by one, and no more: on the connection, where the others belong, too.

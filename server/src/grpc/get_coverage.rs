@@ -102,7 +102,7 @@ fn expected_at(
     let Ok(grid) = Grid::of(at) else { return Ok(None) };
     let Ok(position) = grid.project(at) else { return Ok(None) };
     let id = TileId::of(grid.zone(), position);
-    let tile = match expectations.tile_for(id, patience) {
+    let tile = match expectations.tile(id, patience) {
         Ok(Some(tile)) => tile,
         Ok(None) => return Ok(None),
         Err(NotAssessed::Gone) => return Err(status::gone()),

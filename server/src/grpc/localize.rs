@@ -90,6 +90,9 @@ impl LocalizationService for LocalizationApi {
             let (inner, call) = (Arc::clone(&inner), call.clone());
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked.map_err(faults::told)?;
+                if deadline.is_some_and(|at| at <= Instant::now()) {
+                    return Err(status::gone());
+                }
                 let span = tracing::info_span!(parent: &call, "message", sequence);
                 let answer = inner.answer(request.unwrap_or_default(), deadline).instrument(span);
                 let outcome = match answer.await {

@@ -8,6 +8,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
+use crate::locating::NotAssessed;
 use crate::sparse;
 use crate::store;
 
@@ -52,6 +53,9 @@ pub enum Error {
         /// How long an answer may take to begin, seconds.
         seconds: u64,
     },
+    /// Nobody waits for the answer any more.
+    #[error("the caller no longer waits")]
+    Gone,
     /// The store refused.
     #[error("the map store: {0}")]
     Store(Arc<store::Error>),
@@ -70,7 +74,7 @@ impl Error {
             Self::WrongOrigin => StatusCode::FORBIDDEN,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
-            Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+            Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => StatusCode::SERVICE_UNAVAILABLE,
                 store::Error::Unusable(_) => StatusCode::BAD_REQUEST,
@@ -90,7 +94,7 @@ impl Error {
             Self::WrongOrigin => "wrong_origin",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
-            Self::TimedOut { .. } => "timed_out",
+            Self::TimedOut { .. } | Self::Gone => "timed_out",
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => "rebuilding",
                 store::Error::Unusable(_) => "bad_request",
@@ -131,6 +135,15 @@ impl From<store::Error> for Error {
 impl From<Arc<store::Error>> for Error {
     fn from(error: Arc<store::Error>) -> Self {
         Self::Store(error)
+    }
+}
+
+impl From<NotAssessed> for Error {
+    fn from(error: NotAssessed) -> Self {
+        match error {
+            NotAssessed::Store(error) => Self::Store(error),
+            NotAssessed::Gone => Self::Gone,
+        }
     }
 }
 

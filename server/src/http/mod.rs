@@ -8,6 +8,7 @@
 //! - `expectation`: what fixes in a tile can be expected to be.
 //! - `operations`: the map's history, and what operators decide about it.
 //! - `files`: regions out and in, backups.
+//! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
@@ -28,6 +29,7 @@ mod operations;
 mod origin;
 mod probes;
 mod raster;
+mod region_days;
 #[cfg(test)]
 pub(crate) mod testing;
 

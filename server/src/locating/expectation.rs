@@ -107,28 +107,11 @@ impl Expectations {
     }
 
     /// What fixes in a tile can be expected to be; `None` where nothing is known of it and its neighbours.
-    /// Takes a while where that is not known yet; blocks.
-    ///
-    /// # Errors
-    /// When the map cannot be read.
-    pub fn tile(&self, id: TileId) -> Result<Option<Arc<TileExpectation>>, Arc<Error>> {
-        match self.tile_for(id, &Patience::default()) {
-            Ok(found) => Ok(found),
-            Err(NotAssessed::Store(error)) => Err(error),
-            // Who waits for ever is never gone.
-            Err(NotAssessed::Gone) => Ok(None),
-        }
-    }
-
-    /// The same for a caller that may go away: looked at while others compute, and between spots.
+    /// Takes a while where that is not known yet; blocks, but no longer than the caller waits.
     ///
     /// # Errors
     /// When the map cannot be read, or the caller is gone.
-    pub fn tile_for(
-        &self,
-        id: TileId,
-        patience: &Patience,
-    ) -> Result<Option<Arc<TileExpectation>>, NotAssessed> {
+    pub fn tile(&self, id: TileId, patience: &Patience) -> Result<Option<Arc<TileExpectation>>, NotAssessed> {
         let catalog = self.store.catalog(id.zone, around(id.x), around(id.y))?;
         if !catalog.iter().any(|tile| near(tile.id, id)) {
             return Ok(None);
