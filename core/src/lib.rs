@@ -85,6 +85,7 @@ pub mod agreement;
 pub mod align;
 pub mod batch;
 pub mod calibration;
+mod columns;
 pub mod convention;
 pub mod datum;
 pub mod doppler;

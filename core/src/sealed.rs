@@ -24,6 +24,22 @@ pub enum DecodeError {
     /// The content does not follow the format.
     #[error("the content does not follow the format")]
     Malformed,
+    /// It holds more tiles than it may, as its header says.
+    #[error("it holds {found} tiles, and at most {most} are taken; split it")]
+    TooManyTiles {
+        /// As many as it holds.
+        found: usize,
+        /// As many as are taken.
+        most: usize,
+    },
+    /// It holds more cells than it may, as its header says.
+    #[error("it holds {found} cells, and at most {most} are taken; split it")]
+    TooManyCells {
+        /// As many as it holds.
+        found: usize,
+        /// As many as are taken.
+        most: usize,
+    },
 }
 
 fn advice(found: u8, known: u8) -> &'static str {
@@ -69,11 +85,6 @@ impl SealedFormat {
 pub(crate) fn compressed(bytes: &[u8], level: i32) -> Vec<u8> {
     zstd::bulk::compress(bytes, level)
         .expect("compressing into a buffer of the library's own bound cannot fail")
-}
-
-/// The content of a zstd frame of at most `most` bytes.
-pub(crate) fn decompressed(frame: &[u8], most: usize) -> Option<Vec<u8>> {
-    zstd::bulk::decompress(frame, most).ok()
 }
 
 #[cfg(test)]

@@ -43,6 +43,48 @@ impl VarintWriter {
     }
 }
 
+/// Where varints come from; `None` where they end too early or a value does not fit.
+///
+/// All that says how much follows is held against [`Varints::room`] before anything is allocated for it: the bytes may be
+/// a stranger's.
+pub trait Varints {
+    /// The next value.
+    fn value(&mut self) -> Option<u64>;
+
+    /// Bytes that may still come, at most.
+    fn room(&self) -> usize;
+
+    /// The next value, if it fits the type.
+    fn get<T: TryFrom<u64>>(&mut self) -> Option<T> {
+        T::try_from(self.value()?).ok()
+    }
+
+    /// What [`VarintWriter::put_signed`] wrote.
+    fn get_signed<T: TryFrom<i64>>(&mut self) -> Option<T> {
+        let folded = self.value()?;
+        T::try_from((folded >> 1) as i64 ^ -((folded & 1) as i64)).ok()
+    }
+
+    /// A count of things that take at least so many bytes each: never more than there is room for.
+    fn count_of(&mut self, bytes_each: usize) -> Option<usize> {
+        self.get().filter(|count| *count <= self.room() / bytes_each)
+    }
+
+    /// So many values below `limit`, as [`VarintWriter::put_ascending`] wrote them, after those in `values`.
+    fn ascending(&mut self, count: usize, limit: u32, values: &mut Vec<u32>) -> Option<()> {
+        if count > self.room() {
+            return None;
+        }
+        let mut next = 0_u32;
+        for _ in 0..count {
+            let value = next.checked_add(self.get()?).filter(|value| *value < limit)?;
+            next = value + 1;
+            values.push(value);
+        }
+        Some(())
+    }
+}
+
 /// Takes values off bytes; `None` where they end too early or a value does not fit.
 #[derive(Debug)]
 pub struct VarintReader<'a> {
@@ -50,9 +92,8 @@ pub struct VarintReader<'a> {
     pub rest: &'a [u8],
 }
 
-impl<'a> VarintReader<'a> {
-    /// The next value.
-    pub fn get<T: TryFrom<u64>>(&mut self) -> Option<T> {
+impl Varints for VarintReader<'_> {
+    fn value(&mut self) -> Option<u64> {
         let mut value = 0_u64;
         for shift in (0..64).step_by(7) {
             let (&byte, rest) = self.rest.split_first()?;
@@ -63,35 +104,26 @@ impl<'a> VarintReader<'a> {
             }
             value |= bits << shift;
             if byte & 0x80 == 0 {
-                return T::try_from(value).ok();
+                return Some(value);
             }
         }
         None
     }
 
+    fn room(&self) -> usize {
+        self.rest.len()
+    }
+}
+
+impl<'a> VarintReader<'a> {
+    /// The next value.
+    pub fn get<T: TryFrom<u64>>(&mut self) -> Option<T> {
+        Varints::get(self)
+    }
+
     /// What [`VarintWriter::put_signed`] wrote.
     pub fn get_signed<T: TryFrom<i64>>(&mut self) -> Option<T> {
-        let folded: u64 = self.get()?;
-        T::try_from((folded >> 1) as i64 ^ -((folded & 1) as i64)).ok()
-    }
-
-    /// A count of things that take at least one byte each: never more than there are bytes left.
-    pub fn count(&mut self) -> Option<usize> {
-        self.get().filter(|count| *count <= self.rest.len())
-    }
-
-    /// So many values below `limit`, as [`VarintWriter::put_ascending`] wrote them.
-    pub fn ascending(&mut self, count: usize, limit: u32) -> Option<Vec<u32>> {
-        if count > self.rest.len() {
-            return None;
-        }
-        let mut next = 0_u32;
-        let mut value = || {
-            let value = next.checked_add(self.get()?).filter(|value| *value < limit)?;
-            next = value + 1;
-            Some(value)
-        };
-        (0..count).map(|_| value()).collect()
+        Varints::get_signed(self)
     }
 
     /// So many bytes as they are.
@@ -119,6 +151,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn ascending(input: &mut VarintReader<'_>, count: usize, limit: u32) -> Option<Vec<u32>> {
+        let mut values = Vec::new();
+        input.ascending(count, limit, &mut values).map(|()| values)
+    }
+
     proptest! {
         #[test]
         fn what_was_put_is_got(
@@ -141,7 +178,7 @@ mod tests {
             }
             prop_assert_eq!(input.bytes(), Some(&bytes[..]));
             let rising: Vec<u32> = rising.into_iter().collect();
-            prop_assert_eq!(input.ascending(rising.len(), 10_000), Some(rising));
+            prop_assert_eq!(ascending(&mut input, rising.len(), 10_000), Some(rising));
             prop_assert_eq!(input.finish(), Some(()));
         }
 
@@ -149,7 +186,7 @@ mod tests {
         fn any_bytes_are_read_without_harm(bytes: Vec<u8>, count: u32) {
             let mut input = VarintReader { rest: &bytes };
             while input.get::<u32>().is_some() {}
-            let _ = VarintReader { rest: &bytes }.ascending(count as usize, 1 << 18);
+            let _ = ascending(&mut VarintReader { rest: &bytes }, count as usize, 1 << 18);
         }
     }
 
@@ -157,8 +194,8 @@ mod tests {
     fn values_beyond_the_limit_or_the_type_are_refused() {
         let mut out = VarintWriter::default();
         out.put_ascending([3, 9].into_iter());
-        assert_eq!(VarintReader { rest: &out.bytes }.ascending(2, 10), Some(vec![3, 9]));
-        assert_eq!(VarintReader { rest: &out.bytes }.ascending(2, 9), None);
+        assert_eq!(ascending(&mut VarintReader { rest: &out.bytes }, 2, 10), Some(vec![3, 9]));
+        assert_eq!(ascending(&mut VarintReader { rest: &out.bytes }, 2, 9), None);
         let mut out = VarintWriter::default();
         out.put(300);
         assert_eq!(VarintReader { rest: &out.bytes }.get::<u8>(), None);

@@ -3,6 +3,8 @@
 //! The modules, in reading order:
 //!
 //! - [`args`], [`config`], [`log`]: its settings, and its log.
+//! - [`patience`]: how long a caller waits for blocking work.
+//! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
 //! - [`grpc`]: for vehicles: decode and validate, call the domain, encode.
 //! - [`http`]: for operators: map layers, catalog, feeds, probes and the console.
@@ -24,6 +26,8 @@ pub mod locating;
 pub mod log;
 pub mod mapping;
 pub mod metrics;
+pub mod patience;
 pub mod run;
+mod sparse;
 pub mod store;
 pub mod trace;

@@ -8,6 +8,8 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
+use crate::sparse;
+
 /// What came of a request: a verdict, `COUNTED`, or the reason of a refusal.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct OutcomeLabel {
@@ -20,6 +22,10 @@ pub struct Metrics {
     registry: Registry,
     /// Localization requests by outcome.
     pub fixes: Family<OutcomeLabel, Counter>,
+    /// gRPC calls that were refused before their first answer, by code.
+    pub refused: Family<OutcomeLabel, Counter>,
+    /// Log lines that were left out because their kind had one shortly before.
+    log_lines_left_out: Gauge,
     /// Uploads by outcome.
     pub uploads: Family<OutcomeLabel, Counter>,
     /// Seconds spent aligning a batch.
@@ -44,6 +50,8 @@ impl Default for Metrics {
         let mut metrics = Self {
             registry: Registry::with_prefix("echofix"),
             fixes: Family::default(),
+            refused: Family::default(),
+            log_lines_left_out: Gauge::default(),
             uploads: Family::default(),
             align_seconds: seconds(),
             queue_seconds: seconds(),
@@ -62,6 +70,10 @@ impl Metrics {
     fn register(&mut self) {
         let r = &mut self.registry;
         r.register("fixes", "Localization requests by outcome", self.fixes.clone());
+        let help = "gRPC calls that were refused before their first answer, by code";
+        r.register("refused_calls", help, self.refused.clone());
+        let help = "Log lines left out because their kind had one shortly before";
+        r.register("log_lines_left_out", help, self.log_lines_left_out.clone());
         r.register("uploads", "Uploads by outcome", self.uploads.clone());
         let mut seconds = |name, help, metric: &Histogram| {
             r.register_with_unit(name, help, Unit::Seconds, metric.clone());
@@ -79,6 +91,7 @@ impl Metrics {
     /// All metrics as OpenMetrics text.
     #[must_use]
     pub fn render(&self) -> String {
+        self.log_lines_left_out.set(sparse::left_out() as i64);
         let mut text = String::new();
         if let Err(error) = encode(&mut text, &self.registry) {
             tracing::error!(%error, "the metrics cannot be written down");

@@ -18,6 +18,10 @@ use crate::wire;
 const CHUNK_DETECTIONS: usize = 2048;
 /// Bytes of evidence in a chunk, at most.
 const CHUNK_BYTES: usize = 16 << 10;
+/// Messages of an upload that is read, at most: empty ones take a hundred times their bytes.
+const MAX_PARTS: usize = 16_384;
+/// Bytes of an upload's evidence, unpacked, at most: several times what the service takes.
+const MAX_EVIDENCE: usize = 64 << 20;
 
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -130,7 +134,7 @@ impl PreparedUpload {
     /// # Errors
     /// When its bytes are not an evidence delta's.
     pub fn evidence(&self) -> Result<EvidenceDelta, DecodeError> {
-        codec::decode(&self.evidence_bytes(), usize::MAX)
+        codec::decode(&self.evidence_bytes(), MAX_EVIDENCE)
     }
 
     fn evidence_bytes(&self) -> Vec<u8> {
@@ -165,7 +169,14 @@ impl PreparedUpload {
         let mut parts = Vec::new();
         while !bytes.is_empty() {
             let part = v1::UploadRequest::decode_length_delimited(&mut bytes);
-            parts.push(part.map_err(|_| DamagedUpload("a message does not decode"))?);
+            let part = part.map_err(|_| DamagedUpload("a message does not decode"))?;
+            if part.part.is_none() {
+                return Err(DamagedUpload("a message is empty"));
+            }
+            if parts.len() == MAX_PARTS {
+                return Err(DamagedUpload("it has more messages than any upload"));
+            }
+            parts.push(part);
         }
         let upload = Self { id: Uuid::nil(), parts };
         let header = upload.header().ok_or(DamagedUpload("it does not begin with a header"))?;
@@ -262,5 +273,19 @@ mod tests {
         assert_eq!(PreparedUpload::decode(&bytes), Ok(upload));
         assert!(PreparedUpload::decode(&bytes[..bytes.len() - 1]).is_err());
         assert!(PreparedUpload::decode(&[]).is_err());
+    }
+
+    /// Catches: a file of 16 MB of nothing, which would decode to gigabytes.
+    #[test]
+    fn messages_of_nothing_are_no_upload() {
+        let upload = upload(&[scan(T0 + 10, 20)]);
+        let refused = |more: &[u8], times: usize| {
+            let bytes = [upload.encode(), more.repeat(times)].concat();
+            PreparedUpload::decode(&bytes).unwrap_err().to_string()
+        };
+        assert_eq!(refused(&[0], 1 << 24), "not an upload: a message is empty");
+        let empty = v1::UploadRequest { part: Some(Part::Evidence(v1::EvidenceChunk::default())) };
+        let more = refused(&empty.encode_length_delimited_to_vec(), MAX_PARTS);
+        assert_eq!(more, "not an upload: it has more messages than any upload");
     }
 }

@@ -13,14 +13,39 @@
 use std::collections::BTreeMap;
 
 use super::{CellHits, EvidenceDelta, OFFSET_STEPS, TileEvidence, VIEW_BLOCKS, ViewBlocks};
+use crate::columns::ColumnReader;
 use crate::geo::{TileId, Zone};
 use crate::sealed::{self, SealedFormat};
 use crate::tile::{CELLS, DecodeError};
-use crate::varint::{VarintReader, VarintWriter};
+use crate::varint::{VarintReader, VarintWriter, Varints};
 
 const FORMAT: SealedFormat = SealedFormat { magic: *b"EFC", version: 2 };
 /// Read and written once each, and many of them: speed matters more than the last bytes.
 const ZSTD_LEVEL: i32 = 1;
+/// Bytes of a tile in the header, at least: EPSG codes of UTM take three, all else one.
+const LEAST_TILE: usize = 6;
+/// Bytes of a cell in the columns, at least and at most.
+const LEAST_CELL: usize = 4;
+const MOST_CELL: usize = 21;
+/// Bytes of a tile's blocks in view, at most.
+const MOST_BLOCKS: usize = 2 * (VIEW_BLOCKS + 2);
+
+/// How much an evidence delta may hold. It is held against the header before any cell is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeltaLimits {
+    /// Tiles.
+    pub tiles: usize,
+    /// Cells of all tiles: a little more than 16 bytes of memory each.
+    pub cells: usize,
+}
+
+impl DeltaLimits {
+    /// Bytes of the columns of so many cells and tiles, at most.
+    fn columns(self) -> usize {
+        let DeltaLimits { tiles, cells } = self;
+        cells.saturating_mul(MOST_CELL).saturating_add(tiles.saturating_mul(MOST_BLOCKS))
+    }
+}
 
 /// The header of an evidence delta: what can be read without its cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -81,19 +106,48 @@ pub fn decode_header(bytes: &[u8]) -> Result<DeltaHeader, DecodeError> {
 }
 
 /// The evidence delta of its bytes; columns of more than `most` bytes are refused unread. A cell takes
-/// about 4 of them, and 21 at most.
+/// about 4 of them, and 21 at most. For bytes that were checked when they came; see [`decode_within`].
 ///
 /// # Errors
 /// When the bytes are not an evidence delta's, are damaged, or break the format.
 pub fn decode(bytes: &[u8], most: usize) -> Result<EvidenceDelta, DecodeError> {
-    let body = FORMAT.unseal(bytes)?;
-    delta(&mut VarintReader { rest: body }, most).ok_or(DecodeError::Malformed)
+    let mut input = VarintReader { rest: FORMAT.unseal(bytes)? };
+    let head = header(&mut input).ok_or(DecodeError::Malformed)?;
+    delta(&head, &mut input, most).ok_or(DecodeError::Malformed)
+}
+
+/// The evidence delta of a stranger's bytes: one that holds more than allowed is refused by its header.
+///
+/// # Errors
+/// When the bytes are not an evidence delta's, are damaged, break the format, or hold too much.
+pub fn decode_within(bytes: &[u8], limits: DeltaLimits) -> Result<EvidenceDelta, DecodeError> {
+    let mut input = VarintReader { rest: FORMAT.unseal(bytes)? };
+    // Before the tiles themselves are read, of which there may be hundreds of thousands.
+    let tiles = tile_count(&mut VarintReader { ..input }).ok_or(DecodeError::Malformed)?;
+    if tiles > limits.tiles {
+        return Err(DecodeError::TooManyTiles { found: tiles, most: limits.tiles });
+    }
+    let head = header(&mut input).ok_or(DecodeError::Malformed)?;
+    let cells = head.tiles.iter().map(|(_, cells)| *cells).sum();
+    if cells > limits.cells {
+        return Err(DecodeError::TooManyCells { found: cells, most: limits.cells });
+    }
+    delta(&head, &mut input, limits.columns()).ok_or(DecodeError::Malformed)
+}
+
+/// The number of tiles; what comes before it is skipped.
+fn tile_count(input: &mut VarintReader<'_>) -> Option<usize> {
+    input.value()?;
+    input.count_of(LEAST_TILE)
 }
 
 fn header(input: &mut VarintReader<'_>) -> Option<DeltaHeader> {
     let detections = input.get()?;
-    let count = input.count()?;
-    let tiles: Vec<_> = (0..count).map(|_| tile(input)).collect::<Option<_>>()?;
+    let count = input.count_of(LEAST_TILE)?;
+    let mut tiles = Vec::with_capacity(count);
+    for _ in 0..count {
+        tiles.push(tile(input)?);
+    }
     tiles.is_sorted_by(|a, b| a.0 < b.0).then_some(DeltaHeader { detections, tiles })
 }
 
@@ -104,40 +158,51 @@ fn tile(input: &mut VarintReader<'_>) -> Option<(TileId, usize)> {
     Some((TileId { zone, y, x }, cells))
 }
 
-fn delta(input: &mut VarintReader<'_>, most: usize) -> Option<EvidenceDelta> {
-    let DeltaHeader { detections, tiles } = header(input)?;
+fn delta(head: &DeltaHeader, input: &mut VarintReader<'_>, most: usize) -> Option<EvidenceDelta> {
     let length = input.get().filter(|length| *length <= most)?;
-    let columns = sealed::decompressed(input.rest, length)?;
-    let tiles = tile_evidence(&tiles, &mut VarintReader { rest: &columns })?;
-    Some(EvidenceDelta { tiles, detections })
+    let mut columns = ColumnReader::new(input.rest, length)?;
+    let tiles = tile_evidence(&head.tiles, &mut columns)?;
+    columns.finish()?;
+    Some(EvidenceDelta { tiles, detections: head.detections })
 }
 
 fn tile_evidence(
     tiles: &[(TileId, usize)],
-    input: &mut VarintReader<'_>,
+    input: &mut impl Varints,
 ) -> Option<BTreeMap<TileId, TileEvidence>> {
-    let observed: Vec<_> = tiles.iter().map(|_| blocks(input)).collect::<Option<_>>()?;
-    let mut cells = Vec::new();
-    for (_, count) in tiles {
-        let blank = |index| CellHits { index, hits: 0, offset_sum: [0, 0] };
-        cells.extend(input.ascending(*count, CELLS)?.into_iter().map(blank));
+    let counts = || tiles.iter().map(|(_, count)| *count);
+    // No room is made for cells that cannot be in the columns.
+    if counts().sum::<usize>() > input.room() / LEAST_CELL {
+        return None;
     }
-    for cell in &mut cells {
+    let observed: Vec<_> = tiles.iter().map(|_| blocks(input)).collect::<Option<_>>()?;
+    let mut cells = blank_cells(counts(), input)?;
+    for cell in cells.iter_mut().flatten() {
         cell.hits = input.get().filter(|hits| *hits > 0)?;
     }
     for axis in [0, 1] {
-        for cell in &mut cells {
+        for cell in cells.iter_mut().flatten() {
             let most = u64::from(cell.hits) * u64::from(OFFSET_STEPS);
             let sum = input.get_signed::<i64>()?.checked_add(middle(cell.hits))?;
             cell.offset_sum[axis] = u32::try_from(sum).ok().filter(|sum| u64::from(*sum) <= most)?;
         }
     }
-    input.finish()?;
-    let mut rest = cells.into_iter();
-    let evidence =
-        |count: usize, observed| TileEvidence { cells: rest.by_ref().take(count).collect(), observed };
-    let mut evidence = evidence;
-    Some(tiles.iter().zip(observed).map(|((id, count), seen)| (*id, evidence(*count, seen))).collect())
+    let evidence = cells.into_iter().zip(observed).map(|(cells, observed)| TileEvidence { cells, observed });
+    Some(tiles.iter().map(|(id, _)| *id).zip(evidence).collect())
+}
+
+/// The cells of all tiles, by their indices alone. Cells take room only once all indices have been read.
+fn blank_cells(
+    counts: impl Iterator<Item = usize> + Clone,
+    input: &mut impl Varints,
+) -> Option<Vec<Vec<CellHits>>> {
+    let mut indices = Vec::new();
+    for count in counts.clone() {
+        input.ascending(count, CELLS, &mut indices)?;
+    }
+    let blank = |index| CellHits { index, hits: 0, offset_sum: [0, 0] };
+    let mut rest = indices.into_iter();
+    Some(counts.map(|count| rest.by_ref().take(count).map(blank).collect()).collect())
 }
 
 /// Blocks as the number of their runs and the runs' lengths.
@@ -148,8 +213,8 @@ pub(crate) fn put_blocks(out: &mut VarintWriter, blocks: &ViewBlocks) {
 }
 
 /// What [`put_blocks`] wrote.
-pub(crate) fn blocks(input: &mut VarintReader<'_>) -> Option<ViewBlocks> {
-    let count = input.count().filter(|count| *count <= VIEW_BLOCKS + 1)?;
+pub(crate) fn blocks(input: &mut impl Varints) -> Option<ViewBlocks> {
+    let count = input.count_of(1).filter(|count| *count <= VIEW_BLOCKS + 1)?;
     let runs: Vec<usize> = (0..count).map(|_| input.get()).collect::<Option<_>>()?;
     ViewBlocks::from_runs(runs.into_iter())
 }

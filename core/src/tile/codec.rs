@@ -9,14 +9,16 @@
 //! as what is missing from always; of blocks, only those that are not 0. The datum comes last. A tile is of version 3, or of version 4 when a pass in it
 //! declared how well its poses are known: then the sums of those follow. A ledger is of version 2.
 
+use super::ledger::MAX_VOTES;
 use super::votes::EncodedVotes;
 use super::{CELLS, Ledger, Tile};
+use crate::columns::ColumnReader;
 use crate::datum::{Datum, DeclaredSums};
 use crate::evidence::presence::ALWAYS;
 use crate::evidence::{Cell, OFFSET_STEPS, Pass};
 pub use crate::sealed::DecodeError;
 use crate::sealed::{self, SealedFormat};
-use crate::varint::{VarintReader, VarintWriter};
+use crate::varint::{VarintWriter, Varints};
 
 const TILE: SealedFormat = SealedFormat { magic: *b"EFT", version: 3 };
 const DECLARED_TILE: SealedFormat = SealedFormat { version: 4, ..TILE };
@@ -24,6 +26,10 @@ const LEDGER: SealedFormat = SealedFormat { magic: *b"EFL", version: 2 };
 const ZSTD_LEVEL: i32 = 3;
 /// A full tile's columns stay below this; anything larger is not ours.
 const MAX_DECODED: usize = 16 << 20;
+/// Columns of a cell, and so its bytes at least.
+const CELL_COLUMNS: usize = 9;
+/// Bytes of a pass in a ledger, at least.
+const LEAST_PASS: usize = 4;
 
 /// The bytes of a tile.
 #[must_use]
@@ -68,7 +74,7 @@ fn put_declared(out: &mut VarintWriter, sums: &DeclaredSums) {
     out.put_all(sums.information.into_iter().chain(sums.squares));
 }
 
-fn declared(input: &mut VarintReader<'_>, passes: u32) -> Option<DeclaredSums> {
+fn declared(input: &mut impl Varints, passes: u32) -> Option<DeclaredSums> {
     let sums = DeclaredSums {
         passes: input.get().filter(|declared| (1..=passes).contains(declared))?,
         shift_mm: [input.get_signed()?, input.get_signed()?],
@@ -89,40 +95,21 @@ fn declared(input: &mut VarintReader<'_>, passes: u32) -> Option<DeclaredSums> {
 pub fn decode(bytes: &[u8]) -> Result<Tile, DecodeError> {
     let newer = bytes.get(3).is_some_and(|version| *version > TILE.version);
     let format = if newer { DECLARED_TILE } else { TILE };
-    let body = sealed::decompressed(format.unseal(bytes)?, MAX_DECODED).ok_or(DecodeError::Malformed)?;
-    tile(&mut VarintReader { rest: &body }, newer).ok_or(DecodeError::Malformed)
+    unpacked(format.unseal(bytes)?, |columns| tile(columns, newer)).ok_or(DecodeError::Malformed)
 }
 
-fn tile(input: &mut VarintReader<'_>, has_declared: bool) -> Option<Tile> {
-    let count = input.count()?;
+/// What `read` makes of a frame's columns, once nothing of them is left.
+fn unpacked<T>(frame: &[u8], read: impl FnOnce(&mut ColumnReader<'_>) -> Option<T>) -> Option<T> {
+    let mut columns = ColumnReader::new(frame, MAX_DECODED)?;
+    let read = read(&mut columns)?;
+    columns.finish()?;
+    Some(read)
+}
+
+fn tile(input: &mut impl Varints, has_declared: bool) -> Option<Tile> {
+    let count = input.count_of(CELL_COLUMNS)?;
     let base_day: u16 = input.get()?;
-    let index = input.ascending(count, CELLS)?;
-    let mut cells = vec![Cell::default(); count];
-    for cell in &mut cells {
-        cell.hits = input.get()?;
-    }
-    for cell in &mut cells {
-        cell.passes = input.get()?;
-    }
-    for cell in &mut cells {
-        cell.contributors = input.get()?;
-    }
-    for cell in &mut cells {
-        cell.presence = ALWAYS - input.get::<u16>()?;
-    }
-    for cell in &mut cells {
-        cell.first_day = base_day.checked_add(input.get()?)?;
-    }
-    for cell in &mut cells {
-        cell.last_day = cell.first_day.checked_add(input.get()?)?;
-    }
-    for axis in [0, 1] {
-        for cell in &mut cells {
-            let most = u64::from(cell.hits) * u64::from(OFFSET_STEPS);
-            cell.offset_sum[axis] = input.get().filter(|sum| u64::from(*sum) <= most)?;
-        }
-    }
-    let mut tile = Tile { cells: index.into_iter().zip(cells).collect(), ..Tile::default() };
+    let mut tile = Tile { cells: cells(input, count, base_day)?, ..Tile::default() };
     sparse(input, &mut tile.observed[..])?;
     sparse(input, &mut tile.support[..])?;
     tile.datum = Datum {
@@ -134,8 +121,40 @@ fn tile(input: &mut VarintReader<'_>, has_declared: bool) -> Option<Tile> {
     if has_declared {
         tile.datum.declared = declared(input, tile.datum.passes)?;
     }
-    input.finish()?;
     Some(tile)
+}
+
+/// The cells' columns. Cells take room only once the indices of all have been read, and a tile has no more of those than
+/// cells.
+fn cells(input: &mut impl Varints, count: usize, base_day: u16) -> Option<Vec<(u32, Cell)>> {
+    let mut indices = Vec::new();
+    input.ascending(count, CELLS, &mut indices)?;
+    let mut cells: Vec<_> = indices.into_iter().map(|index| (index, Cell::default())).collect();
+    for (_, cell) in &mut cells {
+        cell.hits = input.get()?;
+    }
+    for (_, cell) in &mut cells {
+        cell.passes = input.get()?;
+    }
+    for (_, cell) in &mut cells {
+        cell.contributors = input.get()?;
+    }
+    for (_, cell) in &mut cells {
+        cell.presence = ALWAYS - input.get::<u16>()?;
+    }
+    for (_, cell) in &mut cells {
+        cell.first_day = base_day.checked_add(input.get()?)?;
+    }
+    for (_, cell) in &mut cells {
+        cell.last_day = cell.first_day.checked_add(input.get()?)?;
+    }
+    for axis in [0, 1] {
+        for (_, cell) in &mut cells {
+            let most = u64::from(cell.hits) * u64::from(OFFSET_STEPS);
+            cell.offset_sum[axis] = input.get().filter(|sum| u64::from(*sum) <= most)?;
+        }
+    }
+    Some(cells)
 }
 
 /// The bytes of a ledger.
@@ -157,18 +176,18 @@ pub fn encode_ledger(ledger: &Ledger) -> Vec<u8> {
 /// When the bytes are not a ledger's, are damaged, or break the format.
 pub fn decode_ledger(bytes: &[u8]) -> Result<Ledger, DecodeError> {
     let frame = LEDGER.unseal(bytes)?;
-    let body = sealed::decompressed(frame, MAX_DECODED).ok_or(DecodeError::Malformed)?;
-    ledger(&mut VarintReader { rest: &body }).ok_or(DecodeError::Malformed)
+    unpacked(frame, ledger).ok_or(DecodeError::Malformed)
 }
 
-fn ledger(input: &mut VarintReader<'_>) -> Option<Ledger> {
-    let passes = input.count()?;
-    let mut votes = Vec::new();
+fn ledger(input: &mut ColumnReader<'_>) -> Option<Ledger> {
+    let passes = input.count_of(LEAST_PASS)?;
+    let (mut votes, mut weight) = (Vec::new(), 0);
     for _ in 0..passes {
         let pass = Pass { day: input.get()?, contributor: input.get()? };
-        votes.push((pass, EncodedVotes::take(input)?));
+        let said = EncodedVotes::take(input)?;
+        weight = Some(weight + Ledger::weight(&said)).filter(|weight| *weight <= MAX_VOTES)?;
+        votes.push((pass, said));
     }
-    input.finish()?;
     Some(votes.into_iter().collect())
 }
 
@@ -182,9 +201,11 @@ fn put_sparse<T: Copy + Into<u64>>(out: &mut VarintWriter, values: &[T]) {
 }
 
 /// What [`put_sparse`] wrote, into zeros.
-fn sparse<T: TryFrom<u64>>(input: &mut VarintReader<'_>, values: &mut [T]) -> Option<()> {
-    let count = input.count()?;
-    for at in input.ascending(count, values.len() as u32)? {
+fn sparse<T: TryFrom<u64>>(input: &mut impl Varints, values: &mut [T]) -> Option<()> {
+    let count = input.count_of(1)?;
+    let mut set = Vec::new();
+    input.ascending(count, values.len() as u32, &mut set)?;
+    for at in set {
         let value = input.get::<u64>().filter(|value| *value != 0)?;
         values[at as usize] = T::try_from(value).ok()?;
     }

@@ -9,7 +9,7 @@ use crate::evidence::{Pass, SUPPORT_BLOCKS, TileEvidence, ViewBlocks, support_bl
 /// Days a pass stays open, counted back from the newest one.
 const OPEN_DAYS: u16 = 30;
 /// Votes one tile's ledger holds, at most: some megabytes.
-const MAX_VOTES: usize = 500_000;
+pub(super) const MAX_VOTES: usize = 500_000;
 /// Votes that a pass's blocks in view count for.
 const OBSERVED_VOTES: usize = 32;
 
@@ -78,13 +78,17 @@ impl Ledger {
         if let Some((newest, _)) = self.passes.last_key_value() {
             self.forget_before(newest.day.saturating_sub(OPEN_DAYS));
         }
-        let size = |votes: &EncodedVotes| votes.cells() + OBSERVED_VOTES;
-        let mut held: usize = self.passes.values().map(size).sum();
+        let mut held: usize = self.passes.values().map(Self::weight).sum();
         while held > max_votes
             && let Some((_, closed)) = self.passes.pop_first()
         {
-            held -= size(&closed);
+            held -= Self::weight(&closed);
         }
+    }
+
+    /// What a pass counts for against the most votes that a ledger holds.
+    pub(super) fn weight(votes: &EncodedVotes) -> usize {
+        votes.cells() + OBSERVED_VOTES
     }
 
     /// Forgets passes of days before `day`: their uploads are no longer accepted, so they cannot

@@ -3,7 +3,7 @@
 use super::CELLS;
 use crate::evidence::ViewBlocks;
 use crate::evidence::codec::{blocks, put_blocks};
-use crate::varint::{VarintReader, VarintWriter};
+use crate::varint::{VarintReader, VarintWriter, Varints};
 
 /// What a pass hit and had in view in one tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -30,12 +30,9 @@ impl EncodedVotes {
         Self { cells: votes.cells.len(), bytes: out.bytes.into_boxed_slice() }
     }
 
-    /// Takes them off bytes; `None` where they break the format.
-    pub(super) fn take(input: &mut VarintReader<'_>) -> Option<Self> {
-        let from = input.rest;
-        let votes = read(input)?;
-        let bytes = &from[..from.len() - input.rest.len()];
-        Some(Self { cells: votes.cells.len(), bytes: bytes.into() })
+    /// Takes them off a ledger's columns; `None` where they break the format.
+    pub(super) fn take(input: &mut impl Varints) -> Option<Self> {
+        Some(Self::of(&read(input)?))
     }
 
     pub(super) fn votes(&self) -> Votes {
@@ -52,7 +49,9 @@ impl EncodedVotes {
     }
 }
 
-fn read(input: &mut VarintReader<'_>) -> Option<Votes> {
-    let count = input.count()?;
-    Some(Votes { cells: input.ascending(count, CELLS)?, observed: blocks(input)? })
+fn read(input: &mut impl Varints) -> Option<Votes> {
+    let count = input.count_of(1)?;
+    let mut cells = Vec::new();
+    input.ascending(count, CELLS, &mut cells)?;
+    Some(Votes { cells, observed: blocks(input)? })
 }

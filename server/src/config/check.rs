@@ -1,133 +1,288 @@
 //! Values that would make no sense.
 
-use super::{Config, Error};
+use tracing_subscriber::EnvFilter;
+
+use super::{Config, Error, HttpConfig, LimitsConfig, StoreConfig};
+use crate::grpc::INTEGRITY_RISKS;
+use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
+
+/// A key, whether its value makes sense, and the rule.
+type Rule = (&'static str, bool, &'static str);
+
+const POSITIVE: &str = "must be above 0";
+/// The longest time in seconds that any limit may be: more is no limit.
+const DAY_S: u64 = 86_400;
+/// Days that the map can count.
+const MAX_DAYS: f64 = 65_535.0;
 
 impl Config {
     pub(super) fn check(&self) -> Result<(), Error> {
-        let Self { store, locating, limits, .. } = self;
-        let positive = "must be above 0";
-        let within = |value: f64, most: f64| value > 0.0 && value <= most;
-        let rules = [
-            ("store.cache_mib", store.cache_mib > 0, positive),
-            ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
-            ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
-            ("locating.queue", locating.queue <= 4096, "must be at most 4096"),
-            (
-                "locating.tile_cache_mib",
-                (1..=1 << 20).contains(&locating.tile_cache_mib),
-                "must lie within 1 and 1048576",
-            ),
-            (
-                "locating.confirm_share",
-                (0.0..=1.0).contains(&locating.confirm_share),
-                "must lie within 0 and 1",
-            ),
-            (
-                "locating.wide_search_m",
-                (0.0..=100.0).contains(&locating.wide_search_m),
-                "must lie within 0 and 100",
-            ),
-            (
-                "locating.min_speed_mps",
-                locating.min_speed_mps.is_finite() && locating.min_speed_mps >= 0.0,
-                "must be finite and not negative",
-            ),
-            (
-                "radar.max_range_m",
-                (1.0..=300.0).contains(&self.radar.max_range_m),
-                "must lie within 1 and 300",
-            ),
-            (
-                "locating.max_range_m",
-                (0.0..=300.0).contains(&locating.max_range_m),
-                "must lie within 0 and 300; 0 takes radar.max_range_m",
-            ),
-            (
-                "locating.max_doppler_residual_mps",
-                within(locating.max_doppler_residual_mps, f64::MAX),
-                "must be finite and above 0",
-            ),
-            ("locating.min_detections", locating.min_detections > 0, positive),
-            (
-                "locating.max_sigma_position_m",
-                within(locating.max_sigma_position_m, 20.0),
-                "must be above 0 and at most 20",
-            ),
-            (
-                "locating.max_sigma_yaw_deg",
-                within(locating.max_sigma_yaw_deg, 45.0),
-                "must be above 0 and at most 45",
-            ),
-            (
-                "locating.integrity_risk",
-                locating.integrity_risk > 0.0 && locating.integrity_risk < 1.0,
-                "must lie between 0 and 1",
-            ),
-            ("limits.connections", limits.connections > 0, positive),
-            ("limits.streams_per_connection", limits.streams_per_connection > 0, positive),
-            (
-                "limits.message_bytes",
-                (1024..=64 << 20).contains(&limits.message_bytes),
-                "must lie within 1024 and 67108864",
-            ),
-            ("limits.header_bytes", limits.header_bytes >= 1024, "must be at least 1024"),
-            (
-                "limits.reads_at_once",
-                (1..=4096).contains(&limits.reads_at_once),
-                "must lie within 1 and 4096",
-            ),
-            ("limits.handshake_s", limits.handshake_s > 0, positive),
-            ("limits.keepalive_s", limits.keepalive_s > 0, positive),
-            ("limits.keepalive_timeout_s", limits.keepalive_timeout_s > 0, positive),
-            ("limits.request_s", limits.request_s > 0, positive),
-            ("limits.stall_s", limits.stall_s > 0, positive),
+        let sections = [
+            ports(self),
+            store(&self.store),
+            locating(&self.locating, self.radar.max_range_m),
+            mapping(&self.mapping),
+            limits(&self.limits),
+            together(self),
         ];
-        match rules.into_iter().chain(mapping(&self.mapping)).find(|(_, holds, _)| !holds) {
-            Some((key, _, rule)) => Err(Error::OutOfRange { key, rule }),
+        if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
+            return Err(Error::OutOfRange { key, rule });
+        }
+        let filter = EnvFilter::builder().parse(&self.log.filter);
+        let refused = |error: &dyn std::fmt::Display| Error::Malformed {
+            origin: "`log.filter`".to_owned(),
+            reason: format!(
+                "{error}; write a level, as `info`, or directives, as `echofix_server=debug,warn`"
+            ),
+        };
+        filter.map_err(|error| refused(&error))?;
+        // A directive without `=` that is no level is read as the name of a module, which nobody can mean.
+        match self.log.filter.split(',').map(str::trim).find(|directive| !is_sane(directive)) {
+            Some(directive) => Err(refused(&format!("`{directive}` is no directive"))),
             None => Ok(()),
         }
     }
 }
 
-/// Rules of the section on mapping.
-fn mapping(mapping: &MappingConfig) -> impl Iterator<Item = (&'static str, bool, &'static str)> + use<> {
-    let positive = "must be above 0";
-    let within = |value: f64, most: f64| value > 0.0 && value <= most;
-    let rules = [
-        ("mapping.max_sigma_position_m", mapping.max_sigma_position_m > 0.0, positive),
-        ("mapping.max_sigma_yaw_deg", mapping.max_sigma_yaw_deg > 0.0, positive),
-        ("mapping.min_speed_mps", mapping.min_speed_mps >= 0.0, "must not be negative"),
+/// Does a directive consist of what names of modules, spans, fields and levels consist of?
+fn is_sane(directive: &str) -> bool {
+    let known = |c: char| c.is_ascii_alphanumeric() || "_:-=.[]{}\"/\\* ".contains(c);
+    !directive.is_empty()
+        && directive.chars().all(known)
+        && directive.chars().any(|c| c.is_ascii_alphanumeric())
+}
+
+fn within(value: f64, most: f64) -> bool {
+    value > 0.0 && value <= most
+}
+
+fn ports(config: &Config) -> Vec<Rule> {
+    let (grpc, HttpConfig { listen, hosts }) = (config.grpc.listen, &config.http);
+    let apart = grpc != *listen || grpc.port() == 0;
+    let name = |host: &String| {
+        (1..=253).contains(&host.len())
+            && host.chars().all(|c| c.is_ascii_alphanumeric() || "-._:[]".contains(c))
+    };
+    let bare = |host: &String| host.starts_with('[') || host.matches(':').count() != 1;
+    vec![
+        ("http.listen", apart, "must differ from grpc.listen: each port needs an address of its own"),
         (
-            "mapping.max_range_m",
-            (0.0..=500.0).contains(&mapping.max_range_m),
-            "must lie within 0 and 500; 0 takes radar.max_range_m",
+            "http.hosts",
+            hosts.iter().all(name),
+            "must be names such as `maps.example.com`, without scheme and path",
         ),
-        ("mapping.max_doppler_residual_mps", mapping.max_doppler_residual_mps > 0.0, positive),
-        ("mapping.max_pose_gap_s", mapping.max_pose_gap_s > 0.0, positive),
-        ("mapping.max_speed_mps", mapping.max_speed_mps > mapping.min_speed_mps, "must exceed min_speed_mps"),
-        ("mapping.publish_contributors", mapping.publish_contributors > 0, positive),
+        ("http.hosts", hosts.iter().all(bare), "must be names without a port: every port of a name is taken"),
+    ]
+}
+
+fn store(store: &StoreConfig) -> Vec<Rule> {
+    let dir = store.data_dir.as_os_str();
+    let named =
+        !dir.is_empty() && dir.to_str().is_none_or(|dir| !dir.trim().is_empty() && !dir.contains('\0'));
+    vec![
+        ("store.data_dir", named, "is empty; name the directory that holds the map"),
+        ("store.cache_mib", (1..=1 << 20).contains(&store.cache_mib), "must lie within 1 and 1048576"),
+        ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
+    ]
+}
+
+fn locating(locating: &LocatingConfig, radar_range_m: f64) -> Vec<Rule> {
+    vec![
+        ("locating.threads", locating.threads <= 1024, "must be at most 1024"),
+        ("locating.queue", locating.queue <= 4096, "must be at most 4096"),
+        (
+            "locating.tile_cache_mib",
+            (1..=1 << 20).contains(&locating.tile_cache_mib),
+            "must lie within 1 and 1048576",
+        ),
+        ("locating.confirm_share", (0.0..=1.0).contains(&locating.confirm_share), "must lie within 0 and 1"),
+        (
+            "locating.wide_search_m",
+            (0.0..=100.0).contains(&locating.wide_search_m),
+            "must lie within 0 and 100",
+        ),
+        (
+            "locating.min_speed_mps",
+            (0.0..=100.0).contains(&locating.min_speed_mps),
+            "must be finite and not negative, and at most 100",
+        ),
+        ("radar.max_range_m", (1.0..=300.0).contains(&radar_range_m), "must lie within 1 and 300"),
+        (
+            "locating.max_range_m",
+            (0.0..=300.0).contains(&locating.max_range_m),
+            "must lie within 0 and 300; 0 takes radar.max_range_m",
+        ),
+        (
+            "locating.max_doppler_residual_mps",
+            within(locating.max_doppler_residual_mps, 1_000.0),
+            "must be finite and above 0, and at most 1000",
+        ),
+        (
+            "locating.min_detections",
+            (1..=1_000_000).contains(&locating.min_detections),
+            "must be above 0 and at most 1000000",
+        ),
+        (
+            "locating.max_sigma_position_m",
+            within(locating.max_sigma_position_m, 20.0),
+            "must be above 0 and at most 20",
+        ),
+        (
+            "locating.max_sigma_yaw_deg",
+            within(locating.max_sigma_yaw_deg, 45.0),
+            "must be above 0 and at most 45",
+        ),
+        (
+            "locating.integrity_risk",
+            INTEGRITY_RISKS.contains(&locating.integrity_risk),
+            "must lie within 1e-9 and 0.1",
+        ),
+    ]
+}
+
+fn mapping(mapping: &MappingConfig) -> Vec<Rule> {
+    let mut rules = poses_and_detections(mapping);
+    rules.extend([
+        ("mapping.publish_contributors", mapping.publish_contributors > 0, POSITIVE),
         ("mapping.vet_shift_m", within(mapping.vet_shift_m, 5.0), "must lie within 0 and 5"),
         ("mapping.vet_turn_deg", within(mapping.vet_turn_deg, 3.0), "must lie within 0 and 3"),
-        ("mapping.half_life_days", within(mapping.half_life_days, 1e5), "must lie within 0 and 100000"),
-        ("mapping.expire_days", mapping.expire_days > 0, positive),
+        (
+            "mapping.half_life_days",
+            within(mapping.half_life_days, MAX_DAYS),
+            "must be above 0 and at most 65535",
+        ),
+        ("mapping.expire_days", mapping.expire_days > 0, POSITIVE),
         ages(mapping),
-        ("mapping.max_upload_bytes", mapping.max_upload_bytes >= 1024, "must be at least 1024"),
-        ("mapping.max_upload_detections", mapping.max_upload_detections > 0, positive),
-        ("mapping.max_upload_tiles", mapping.max_upload_tiles > 0, positive),
+        (
+            "mapping.max_upload_bytes",
+            (1024..=1 << 30).contains(&mapping.max_upload_bytes),
+            "must be at least 1024 and at most 1073741824",
+        ),
+        (
+            "mapping.max_upload_detections",
+            (1..=10_000_000).contains(&mapping.max_upload_detections),
+            "must be above 0 and at most 10000000",
+        ),
+        (
+            "mapping.max_upload_tiles",
+            (1..=65_536).contains(&mapping.max_upload_tiles),
+            "must be above 0 and at most 65536",
+        ),
         (
             "mapping.uploads_at_once",
             (1..=256).contains(&mapping.uploads_at_once),
             "must lie within 1 and 256",
         ),
-        ("mapping.max_unfolded", mapping.max_unfolded > 0, positive),
-    ];
-    rules.into_iter()
+        (
+            "mapping.max_unfolded",
+            (1..=1_000_000_000).contains(&mapping.max_unfolded),
+            "must be above 0 and at most 1000000000",
+        ),
+    ]);
+    rules
+}
+
+fn poses_and_detections(mapping: &MappingConfig) -> Vec<Rule> {
+    vec![
+        (
+            "mapping.max_sigma_position_m",
+            within(mapping.max_sigma_position_m, 100.0),
+            "must be above 0 and at most 100",
+        ),
+        (
+            "mapping.max_sigma_yaw_deg",
+            within(mapping.max_sigma_yaw_deg, 180.0),
+            "must be above 0 and at most 180",
+        ),
+        (
+            "mapping.min_speed_mps",
+            (0.0..=100.0).contains(&mapping.min_speed_mps),
+            "must not be negative, and be at most 100",
+        ),
+        (
+            "mapping.max_range_m",
+            (0.0..=500.0).contains(&mapping.max_range_m),
+            "must lie within 0 and 500; 0 takes radar.max_range_m",
+        ),
+        (
+            "mapping.max_doppler_residual_mps",
+            within(mapping.max_doppler_residual_mps, 1_000.0),
+            "must be above 0 and at most 1000",
+        ),
+        (
+            "mapping.max_pose_gap_s",
+            within(mapping.max_pose_gap_s, 3_600.0),
+            "must be above 0 and at most 3600",
+        ),
+        ("mapping.max_speed_mps", within(mapping.max_speed_mps, 1_000.0), "must be above 0 and at most 1000"),
+        ("mapping.max_speed_mps", mapping.max_speed_mps > mapping.min_speed_mps, "must exceed min_speed_mps"),
+    ]
 }
 
 /// Ids are forgotten with what is compacted: what comes again must be refused for its age by then.
-fn ages(mapping: &MappingConfig) -> (&'static str, bool, &'static str) {
+fn ages(mapping: &MappingConfig) -> Rule {
     let holds = mapping.retention_days == 0 || mapping.max_age_days < mapping.retention_days;
     let rule = "must be less than mapping.retention_days: an upload sent again after that would count twice";
     ("mapping.max_age_days", holds, rule)
+}
+
+fn limits(limits: &LimitsConfig) -> Vec<Rule> {
+    let seconds = |key, value: u64| (key, (1..=DAY_S).contains(&value), "must be above 0 and at most 86400");
+    vec![
+        (
+            "limits.connections",
+            (1..=1_000_000).contains(&limits.connections),
+            "must be above 0 and at most 1000000",
+        ),
+        (
+            "limits.streams_per_connection",
+            (1..=65_536).contains(&limits.streams_per_connection),
+            "must be above 0 and at most 65536",
+        ),
+        (
+            "limits.message_bytes",
+            (1024..=64 << 20).contains(&limits.message_bytes),
+            "must lie within 1024 and 67108864",
+        ),
+        (
+            "limits.header_bytes",
+            (1024..=1 << 20).contains(&limits.header_bytes),
+            "must be at least 1024 and at most 1048576",
+        ),
+        (
+            "limits.resets_per_connection",
+            limits.resets_per_connection <= 1_000_000,
+            "must be at most 1000000",
+        ),
+        ("limits.reads_at_once", (1..=4096).contains(&limits.reads_at_once), "must lie within 1 and 4096"),
+        seconds("limits.handshake_s", limits.handshake_s),
+        seconds("limits.keepalive_s", limits.keepalive_s),
+        seconds("limits.keepalive_timeout_s", limits.keepalive_timeout_s),
+        seconds("limits.request_s", limits.request_s),
+        seconds("limits.stall_s", limits.stall_s),
+        ("limits.shutdown_s", limits.shutdown_s <= DAY_S, "must be at most 86400"),
+    ]
+}
+
+/// Values that make sense alone, and not beside another.
+fn together(config: &Config) -> Vec<Rule> {
+    let Config { limits, mapping, .. } = config;
+    vec![
+        (
+            "limits.stall_s",
+            limits.stall_s <= limits.request_s,
+            "must be at most limits.request_s, which ends a silent request before",
+        ),
+        (
+            "limits.header_bytes",
+            limits.header_bytes as usize <= limits.message_bytes.max(16 << 10),
+            "must be at most limits.message_bytes: headers are no place for data",
+        ),
+        (
+            "mapping.max_upload_tiles",
+            mapping.max_upload_tiles <= mapping.max_upload_detections.max(4096),
+            "must be at most mapping.max_upload_detections: a tile has one detection at least",
+        ),
+    ]
 }

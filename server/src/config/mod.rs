@@ -63,7 +63,7 @@ pub struct Config {
     /// The gRPC port, for vehicles.
     pub grpc: ListenConfig,
     /// The HTTP port, for operators.
-    pub http: ListenConfig,
+    pub http: HttpConfig,
     /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What holds for uploads and requests alike.
@@ -84,6 +84,16 @@ pub struct Config {
 pub struct ListenConfig {
     /// Address and port; port 0 takes any free one.
     pub listen: SocketAddr,
+}
+
+/// The operators' port.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HttpConfig {
+    /// Address and port; port 0 takes any free one.
+    pub listen: SocketAddr,
+    /// Names by which the port is reached, besides its address and `localhost`.
+    pub hosts: Vec<String>,
 }
 
 /// Where and how data is stored.

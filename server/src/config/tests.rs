@@ -83,6 +83,90 @@ fn mistakes_are_reported_with_their_origin_and_a_hint() {
     assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
 }
 
+/// Catches: a configuration that passes the check and fails the service, or makes a limit none.
+#[test]
+fn every_value_that_makes_no_sense_is_told_in_words() {
+    let many = "100000000000000000";
+    let numbers = [
+        "store.cache_mib",
+        "store.segment_mib",
+        "mapping.max_upload_bytes",
+        "mapping.max_upload_detections",
+        "mapping.max_upload_tiles",
+        "mapping.uploads_at_once",
+        "mapping.max_unfolded",
+        "locating.threads",
+        "locating.queue",
+        "locating.tile_cache_mib",
+        "locating.min_detections",
+        "limits.connections",
+        "limits.message_bytes",
+        "limits.resets_per_connection",
+        "limits.reads_at_once",
+        "limits.handshake_s",
+        "limits.keepalive_s",
+        "limits.keepalive_timeout_s",
+        "limits.request_s",
+        "limits.stall_s",
+        "limits.shutdown_s",
+    ];
+    let floats = [
+        "radar.max_range_m",
+        "mapping.max_sigma_position_m",
+        "mapping.max_sigma_yaw_deg",
+        "mapping.min_speed_mps",
+        "mapping.max_range_m",
+        "mapping.max_doppler_residual_mps",
+        "mapping.max_pose_gap_s",
+        "mapping.max_speed_mps",
+        "mapping.vet_shift_m",
+        "mapping.vet_turn_deg",
+        "mapping.half_life_days",
+        "locating.confirm_share",
+        "locating.wide_search_m",
+        "locating.min_speed_mps",
+        "locating.max_range_m",
+        "locating.integrity_risk",
+        "locating.max_doppler_residual_mps",
+        "locating.max_sigma_position_m",
+        "locating.max_sigma_yaw_deg",
+    ];
+    let each = |keys: &[&'static str], value: &'static str| -> Vec<_> {
+        keys.iter().map(|key| (*key, value)).collect()
+    };
+    let others = [
+        ("limits.header_bytes", "4000000000"),
+        ("limits.streams_per_connection", "4000000000"),
+        ("limits.streams_per_connection", "0"),
+        ("locating.integrity_risk", "0.999"),
+        ("store.data_dir", ""),
+        ("store.data_dir", "  "),
+        ("log.filter", "%%%"),
+        ("log.filter", "info,%%%"),
+        ("log.filter", ""),
+        ("log.filter", "echofix=loud"),
+        ("http.listen", "127.0.0.1:50051"),
+        ("http.hosts", "[\"http://maps.example.com\"]"),
+        ("http.hosts", "[\"maps.example.com:80\"]"),
+        ("http.hosts", "[\"\"]"),
+        ("http.hosts", "[1]"),
+        ("limits.stall_s", "601"),
+    ];
+    let cases = [each(&numbers, many), each(&floats, "1e17"), each(&floats, "nan"), others.to_vec()].concat();
+    for (key, value) in cases {
+        let error = load(None, &[], &[(key, value)]).expect_err(&format!("{key} = {value}")).to_string();
+        let (_, name) = key.split_once('.').unwrap();
+        assert!(error.contains(name) && error.len() > key.len() + 10, "{key} = {value}: {error}");
+    }
+    for filter in
+        ["info", "echofix_server=debug,warn", "off", "echofix_server::run[rpc{call}]=trace,h2=error"]
+    {
+        assert!(load(None, &[], &[("log.filter", filter)]).is_ok(), "{filter}");
+    }
+    let config = load(None, &[("ECHOFIX_HTTP_HOSTS", "[\"maps.example.com\"]")], &[]).unwrap();
+    assert_eq!(config.http.hosts, ["maps.example.com"]);
+}
+
 /// Catches: a value of a setting that changes its name with the code's.
 #[test]
 fn the_words_that_settings_take_stay() {

@@ -34,6 +34,10 @@ const END_OF_TIME_US: i64 = 65_535 * DAY_US;
 const MAX_ODOMETRY_M: f64 = 1e7;
 /// Metres from the body's origin that no radar is mounted at.
 const MAX_MOUNT_M: f32 = 100.0;
+/// One-sigma errors of odometry that say nothing any more.
+const MAX_SIGMA_VELOCITY_MPS: f64 = 100.0;
+const MAX_SIGMA_FRACTION: f64 = 10.0;
+const MAX_SIGMA_YAW_RATE_RADPS: f64 = 10.0;
 /// Radians, so that no sum of angles loses its precision.
 const MAX_ANGLE_RAD: f64 = 1e3;
 
@@ -166,8 +170,16 @@ fn quality(way: &v1::Odometry, field: &str) -> Result<OdometryQuality, InvalidFi
         velocity_fraction: way.sigma_velocity_fraction.unwrap_or(silent.velocity_fraction),
         yaw_rate_radps: way.sigma_yaw_rate_radps.unwrap_or(silent.yaw_rate_radps),
     };
-    let problem = "must be sigmas that are finite and not negative";
-    if quality.is_sound() { Ok(quality) } else { Err(InvalidField::new(format!("{field}.sigma"), problem)) }
+    let within = quality.velocity_mps <= MAX_SIGMA_VELOCITY_MPS
+        && quality.velocity_fraction <= MAX_SIGMA_FRACTION
+        && quality.yaw_rate_radps <= MAX_SIGMA_YAW_RATE_RADPS;
+    let problem = "must be sigmas that are not negative and at most 100 m/s, 10 times the velocity and 10 rad/s; \
+         leave out what is not known";
+    if quality.is_sound() && within {
+        Ok(quality)
+    } else {
+        Err(InvalidField::new(format!("{field}.sigma"), problem))
+    }
 }
 
 /// Absolute poses, oldest first.

@@ -13,8 +13,9 @@ use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
 
 use super::invalid_field::{InvalidField, require};
-use super::{blocking, decode, status};
-use crate::locating::Expectations;
+use super::{attended, decode, status};
+use crate::locating::{Expectations, NotAssessed};
+use crate::patience::Patience;
 use crate::store::{self, MapStore};
 
 /// Points of a route, at most.
@@ -29,18 +30,18 @@ const TILES_KEPT: usize = 64;
 pub(super) async fn get_coverage(
     (store, expectations): (Arc<dyn MapStore>, Arc<Expectations>),
     request: GetCoverageRequest,
-    permit: OwnedSemaphorePermit,
+    permits: (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>),
 ) -> Result<GetCoverageResponse, Status> {
     let route = route(&request).map_err(|violation| status::invalid(&violation))?;
-    blocking(move || {
-        let _permit = permit;
-        let mut response = coverage(&*store, &route)?;
+    attended(None, move |patience| {
+        let _permits = permits;
+        let mut response = coverage(&*store, &route, patience)?;
         if request.expectations {
-            response.expected = expected(&*store, &expectations, &route)?;
+            response.expected = expected(&*store, &expectations, &route, patience)?;
         }
         Ok(response)
     })
-    .await?
+    .await
 }
 
 fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, InvalidField> {
@@ -57,11 +58,18 @@ fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, InvalidField> {
     latitude_deg.iter().zip(longitude_deg).enumerate().map(point).collect()
 }
 
-fn coverage(store: &dyn MapStore, route: &[LatLon]) -> Result<GetCoverageResponse, Status> {
+fn coverage(
+    store: &dyn MapStore,
+    route: &[LatLon],
+    patience: &Patience,
+) -> Result<GetCoverageResponse, Status> {
     let epoch = store.progress().borrow().epoch;
     let mut reader = CoverageReader { store, grid: None, tiles: HashMap::new() };
     let mut response = GetCoverageResponse { epoch, ..GetCoverageResponse::default() };
     for at in route {
+        if patience.is_over() {
+            return Err(status::gone());
+        }
         // Beyond UTM there is no map, which is what was asked.
         let seen = match Zone::of(*at) {
             Ok(zone) => reader.around(zone, *at).map_err(|error| status::store(&error))?,
@@ -78,20 +86,28 @@ fn expected(
     store: &dyn MapStore,
     expectations: &Expectations,
     route: &[LatLon],
+    patience: &Patience,
 ) -> Result<Vec<ExpectedFix>, Status> {
     let unmapped = ExpectedFix { status: FixStatus::TooLittleMap.into(), ..ExpectedFix::default() };
-    route.iter().map(|at| Ok(expected_at(store, expectations, *at)?.unwrap_or(unmapped))).collect()
+    let fix = |at: &LatLon| Ok(expected_at(store, expectations, *at, patience)?.unwrap_or(unmapped));
+    route.iter().map(fix).collect()
 }
 
 fn expected_at(
     store: &dyn MapStore,
     expectations: &Expectations,
     at: LatLon,
+    patience: &Patience,
 ) -> Result<Option<ExpectedFix>, Status> {
     let Ok(grid) = Grid::of(at) else { return Ok(None) };
     let Ok(position) = grid.project(at) else { return Ok(None) };
     let id = TileId::of(grid.zone(), position);
-    let Some(tile) = expectations.tile(id).map_err(|error| status::store(&error))? else { return Ok(None) };
+    let tile = match expectations.tile(id, patience) {
+        Ok(Some(tile)) => tile,
+        Ok(None) => return Ok(None),
+        Err(NotAssessed::Gone) => return Err(status::gone()),
+        Err(NotAssessed::Store(error)) => return Err(status::store(&error)),
+    };
     let fix = tile.at(id, position);
     let axis = Pose2::new(position.x_m, position.y_m, fix.weak_direction_rad());
     let Ok((_, direction_rad)) = grid.pose_to_geodetic(&axis) else { return Ok(None) };
@@ -166,3 +182,6 @@ fn look(tile: &Tile, id: TileId, centre: MapPoint, seen: &mut PointCoverage) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

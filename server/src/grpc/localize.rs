@@ -26,12 +26,18 @@ use tracing::{Instrument, Span};
 
 use super::invalid_field::{InvalidField, require, required};
 use super::status;
-use super::{blocking, decode, now_us};
+use super::{attended, decode, faults, now_us};
 use crate::feed::{Feed, FixEvent};
 use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::patience::Patience;
 use crate::trace::in_current_span;
 use encode::{BatchFacts, milliseconds, reason, refused, response};
+
+/// Risks that protection levels can be given for. A level that may be exceeded half of the time bounds nothing.
+pub const INTEGRITY_RISKS: std::ops::RangeInclusive<f64> = 1e-9..=0.1;
+/// No vehicle can use an answer that is off by more.
+const MAX_ALERT_LIMIT_M: f64 = 1_000.0;
 
 /// Answers localization requests.
 pub struct LocalizationApi {
@@ -57,7 +63,7 @@ impl LocalizationApi {
     /// # Errors
     /// The refusal, as the call would return it.
     pub fn work(&self, request: LocalizeRequest, admitted: Admitted) -> Result<LocalizeResponse, Status> {
-        self.inner.work(request, None, admitted).map(|(response, _)| response)
+        self.inner.work(request, &Patience::default(), admitted).map(|(response, _)| response)
     }
 }
 
@@ -77,15 +83,18 @@ impl LocalizationService for LocalizationApi {
         &self,
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
-        let inner = Arc::clone(&self.inner);
+        let (inner, deadline) = (Arc::clone(&self.inner), deadline(request.metadata()));
         // The answers are made after this call has returned, and belong to its span still.
         let call = Span::current();
         let answers = request.into_inner().then(move |asked| {
             let (inner, call) = (Arc::clone(&inner), call.clone());
             async move {
-                let LocalizeStreamRequest { sequence, request } = asked?;
+                let LocalizeStreamRequest { sequence, request } = asked.map_err(faults::told)?;
+                if deadline.is_some_and(|at| at <= Instant::now()) {
+                    return Err(status::gone());
+                }
                 let span = tracing::info_span!(parent: &call, "message", sequence);
-                let answer = inner.answer(request.unwrap_or_default(), None).instrument(span);
+                let answer = inner.answer(request.unwrap_or_default(), deadline).instrument(span);
                 let outcome = match answer.await {
                     Ok(response) => Streamed::Response(response),
                     Err(status) => Streamed::Error(as_message(&status)),
@@ -115,7 +124,8 @@ impl Localization {
     ) -> Result<LocalizeResponse, Status> {
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
-        let (response, check) = blocking(move || inner.work(request, deadline, admitted)).await??;
+        let (response, check) =
+            attended(deadline, move |patience| inner.work(request, patience, admitted)).await?;
         if let Some(check) = check {
             let inner = Arc::clone(self);
             tokio::task::spawn_blocking(in_current_span(move || inner.run_check(check)));
@@ -128,10 +138,13 @@ impl Localization {
     fn work(
         &self,
         request: LocalizeRequest,
-        deadline: Option<Instant>,
+        patience: &Patience,
         mut admitted: Admitted,
     ) -> Result<(LocalizeResponse, Option<SampledCheck>), Status> {
-        let asked = self.decoded(request, deadline).map_err(|violation| {
+        if patience.is_over() {
+            return Err(self.refuse(&LocateRefusal::Gone));
+        }
+        let asked = self.decoded(request, patience.clone()).map_err(|violation| {
             tracing::debug!(field = violation.field, "request not valid");
             self.count("INVALID_ARGUMENT");
             status::invalid(&violation)
@@ -179,11 +192,7 @@ impl Localization {
         refused(refusal)
     }
 
-    fn decoded(
-        &self,
-        request: LocalizeRequest,
-        deadline: Option<Instant>,
-    ) -> Result<DecodedRequest, InvalidField> {
+    fn decoded(&self, request: LocalizeRequest, patience: Patience) -> Result<DecodedRequest, InvalidField> {
         let batch = decode::batch(request.batch, "batch")?;
         let prior = required(request.prior, "prior")?;
         let (at, yaw_rad) = decode::geodetic_pose(prior.pose, "prior.pose")?;
@@ -191,8 +200,10 @@ impl Localization {
         let believed = decode::uncertainty(&prior)?;
         let requirement = request.requirement.unwrap_or_default();
         let (risk, limit) = (requirement.integrity_risk, requirement.alert_limit_m);
-        require((0.0..1.0).contains(&risk), "requirement.integrity_risk", "must be a probability below 1")?;
-        require(limit >= 0.0 && limit.is_finite(), "requirement.alert_limit_m", "must not be negative")?;
+        let rule = "must lie within 1e-9 and 0.1; 0 or nothing takes the service's default";
+        require(risk.abs() <= 0.0 || INTEGRITY_RISKS.contains(&risk), "requirement.integrity_risk", rule)?;
+        let rule = "must lie within 0 and 1000; 0 or nothing sets none";
+        require((0.0..=MAX_ALERT_LIMIT_M).contains(&limit), "requirement.alert_limit_m", rule)?;
         let gate = self.locator.config().gate();
         let reference_time_us = batch.reference_time_us;
         let mut organised =
@@ -217,7 +228,7 @@ impl Localization {
             sigma_position_m: believed.sigma_position_m,
             sigma_yaw_rad: believed.sigma_yaw_rad,
             combine,
-            deadline,
+            patience,
             integrity_risk: (risk > 0.0).then_some(risk),
         };
         Ok(DecodedRequest { request, reference_time_us, alert_limit_m: limit, clock })

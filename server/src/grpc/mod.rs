@@ -2,10 +2,12 @@
 //!
 //! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
+//! - [`faults`]: what the transport could not read is the caller's fault.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.
 
 pub mod decode;
+mod faults;
 mod get_coverage;
 mod get_tiles;
 mod invalid_field;
@@ -14,22 +16,29 @@ pub mod status;
 mod upload;
 
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use echofix_proto::v1;
 use tonic::{Request, Response, Status, Streaming};
 
 use crate::locating::Expectations;
+use crate::patience::Patience;
 use crate::store::MapStore;
 use crate::trace::in_current_span;
-pub use localize::LocalizationApi;
+pub use faults::FaultsLayer;
+pub use localize::{INTEGRITY_RISKS, LocalizationApi};
 pub use upload::MappingApi;
+
+/// One of so many readers may ask for expectations.
+const EXPECTING_SHARE: usize = 8;
 
 /// Serves tiles and coverage.
 pub struct MapApi {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
     reads: Arc<tokio::sync::Semaphore>,
+    /// Of those that ask for expectations, which are made one at a time: others must not wait behind them.
+    expecting: Arc<tokio::sync::Semaphore>,
     stall: std::time::Duration,
 }
 
@@ -43,14 +52,28 @@ impl MapApi {
         at_once: usize,
         stall: std::time::Duration,
     ) -> Self {
-        Self { store, expectations, reads: Arc::new(tokio::sync::Semaphore::new(at_once)), stall }
+        let permits = |count| Arc::new(tokio::sync::Semaphore::new(count));
+        let (reads, expecting) = (permits(at_once), permits(at_once.div_ceil(EXPECTING_SHARE)));
+        Self { store, expectations, reads, expecting, stall }
     }
 
     /// The permit to read.
     fn reader(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
-        let busy = |_| status::overloaded("too many readers at once", std::time::Duration::from_secs(1));
-        self.reads.clone().try_acquire_owned().map_err(busy)
+        permit(&self.reads, "too many readers at once")
     }
+
+    /// The permit to ask for expectations.
+    fn expecter(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
+        permit(&self.expecting, "too many ask for expectations at once")
+    }
+}
+
+fn permit(
+    permits: &Arc<tokio::sync::Semaphore>,
+    message: &str,
+) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
+    let busy = |_| status::overloaded(message, std::time::Duration::from_secs(1));
+    permits.clone().try_acquire_owned().map_err(busy)
 }
 
 #[tonic::async_trait]
@@ -71,9 +94,10 @@ impl v1::map_service_server::MapService for MapApi {
         &self,
         request: Request<v1::GetCoverageRequest>,
     ) -> Result<Response<v1::GetCoverageResponse>, Status> {
-        let permit = self.reader()?;
+        let expecting = request.get_ref().expectations.then(|| self.expecter()).transpose()?;
+        let permits = (self.reader()?, expecting);
         let known = (self.store.clone(), self.expectations.clone());
-        get_coverage::get_coverage(known, request.into_inner(), permit).await.map(Response::new)
+        get_coverage::get_coverage(known, request.into_inner(), permits).await.map(Response::new)
     }
 }
 
@@ -94,6 +118,17 @@ pub(crate) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Status> {
     tokio::task::spawn_blocking(in_current_span(work)).await.map_err(|error| status::torn(&error))
+}
+
+/// Runs what may block or compute for long while its caller waits: it looks at the [`Patience`] between its steps, and
+/// ends with [`status::gone`] when that is over.
+pub(crate) async fn attended<T: Send + 'static>(
+    deadline: Option<Instant>,
+    work: impl FnOnce(&Patience) -> Result<T, Status> + Send + 'static,
+) -> Result<T, Status> {
+    // Dropped with this future, when the caller goes away or its deadline passes.
+    let (patience, _waiting) = Patience::until(deadline);
+    blocking(move || work(&patience)).await?
 }
 
 /// Microseconds since the Unix epoch.

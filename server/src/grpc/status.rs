@@ -8,6 +8,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use super::invalid_field::InvalidField;
+use crate::sparse;
 use crate::store;
 
 /// The domain of every `google.rpc.ErrorInfo`.
@@ -52,13 +53,17 @@ pub fn store(error: &store::Error) -> Status {
         | store::Error::NoRoom { .. }
         | store::Error::Broken(_)
         | store::Error::Tiles(sled::Error::Io(_)) => {
-            tracing::error!(%error, "the store refuses");
+            if let Some(left_out) = sparse::line("the store refuses") {
+                tracing::error!(%error, left_out, "the store refuses");
+            }
             // The message names files of the machine; the vehicle needs the time of its next attempt only.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))
         }
         store::Error::Tiles(_) | store::Error::Damaged { .. } | store::Error::InUse(_) => {
-            tracing::error!(%error, "the store fails");
-            Status::internal("stored data cannot be read")
+            if let Some(left_out) = sparse::line("the store fails") {
+                tracing::error!(%error, left_out, "the store fails");
+            }
+            failed("stored data cannot be read")
         }
     }
 }
@@ -67,7 +72,20 @@ pub fn store(error: &store::Error) -> Status {
 #[must_use]
 pub fn torn(error: &tokio::task::JoinError) -> Status {
     tracing::error!(%error, "a task did not end as it should");
-    Status::internal("the service failed; this is a defect")
+    failed("the service failed; this is a defect")
+}
+
+/// `INTERNAL` with `google.rpc.ErrorInfo`: the service is at fault. Without details the transport says it of what it was sent.
+#[must_use]
+pub fn failed(message: &'static str) -> Status {
+    let details = ErrorDetails::with_error_info("SERVICE_FAILED", DOMAIN, HashMap::new());
+    Status::with_error_details(Code::Internal, message, details)
+}
+
+/// Nobody waits for the answer any more.
+#[must_use]
+pub fn gone() -> Status {
+    Status::deadline_exceeded("the caller no longer waits")
 }
 
 fn with_retry(code: Code, message: impl Display, retry_after: Duration) -> Status {

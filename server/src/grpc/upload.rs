@@ -24,6 +24,7 @@ use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
 use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::sparse;
 use crate::store::{MapStore, Receipt, UploadRecord};
 use receive::{ReceivedUpload, UploadBody};
 
@@ -144,8 +145,10 @@ impl MappingApi {
         let response = match outcome {
             Ok(response) => response,
             Err(error) => {
-                // Not which: from an id can be read when it was made.
-                tracing::info!(reason = word, %error, "upload refused");
+                if let Some(left_out) = sparse::line(word) {
+                    // Not which: from an id can be read when it was made.
+                    tracing::info!(reason = word, %error, left_out, "upload refused");
+                }
                 &nothing
             }
         };
@@ -247,7 +250,7 @@ impl Error {
             Self::Store(error) => status::store(error),
             Self::Answer(_) => {
                 tracing::error!(error = %self, "an upload's first answer is lost");
-                Status::internal("stored data cannot be read")
+                status::failed("stored data cannot be read")
             }
         }
     }

@@ -8,6 +8,8 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
+use crate::locating::NotAssessed;
+use crate::sparse;
 use crate::store;
 
 /// Why a request was not answered.
@@ -22,6 +24,20 @@ pub enum Error {
     /// The route exists, the method does not.
     #[error("this method is not served here; see /openapi.json")]
     MethodNotAllowed,
+    /// The request is for another name than the port's.
+    #[error(
+        "this port does not answer to the name in the request's Host; use its address or localhost, or add the name to \
+         `http.hosts` of the configuration"
+    )]
+    WrongHost,
+    /// Another page asks for it.
+    #[error(
+        "a page of another origin asks for this; use the console of this port, or the command `echofix map`"
+    )]
+    WrongOrigin,
+    /// It is work, which no GET starts.
+    #[error("{0} is work: ask for it with POST")]
+    PostOnly(&'static str),
     /// The address is longer than any of ours.
     #[error("the address is longer than {limit} bytes")]
     AddressTooLong {
@@ -37,6 +53,9 @@ pub enum Error {
         /// How long an answer may take to begin, seconds.
         seconds: u64,
     },
+    /// Nobody waits for the answer any more.
+    #[error("the caller no longer waits")]
+    Gone,
     /// The store refused.
     #[error("the map store: {0}")]
     Store(Arc<store::Error>),
@@ -50,10 +69,12 @@ impl Error {
         match self {
             Self::BadRequest(_) => StatusCode::BAD_REQUEST,
             Self::NotFound(_) => StatusCode::NOT_FOUND,
-            Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            Self::MethodNotAllowed | Self::PostOnly(_) => StatusCode::METHOD_NOT_ALLOWED,
+            Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
+            Self::WrongOrigin => StatusCode::FORBIDDEN,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
-            Self::TimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+            Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => StatusCode::SERVICE_UNAVAILABLE,
                 store::Error::Unusable(_) => StatusCode::BAD_REQUEST,
@@ -68,10 +89,12 @@ impl Error {
         match self {
             Self::BadRequest(_) => "bad_request",
             Self::NotFound(_) => "not_found",
-            Self::MethodNotAllowed => "method_not_allowed",
+            Self::MethodNotAllowed | Self::PostOnly(_) => "method_not_allowed",
+            Self::WrongHost => "wrong_host",
+            Self::WrongOrigin => "wrong_origin",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
-            Self::TimedOut { .. } => "timed_out",
+            Self::TimedOut { .. } | Self::Gone => "timed_out",
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => "rebuilding",
                 store::Error::Unusable(_) => "bad_request",
@@ -86,8 +109,10 @@ impl Error {
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
         let status = self.status();
-        if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(error = %self, "request failed");
+        if status == StatusCode::INTERNAL_SERVER_ERROR
+            && let Some(left_out) = sparse::line("request failed")
+        {
+            tracing::error!(error = %self, left_out, "request failed");
         }
         let body = Json(json!({ "error": { "code": self.code(), "message": self.to_string() } }));
         let mut response = (status, body).into_response();
@@ -110,6 +135,15 @@ impl From<store::Error> for Error {
 impl From<Arc<store::Error>> for Error {
     fn from(error: Arc<store::Error>) -> Self {
         Self::Store(error)
+    }
+}
+
+impl From<NotAssessed> for Error {
+    fn from(error: NotAssessed) -> Self {
+        match error {
+            NotAssessed::Store(error) => Self::Store(error),
+            NotAssessed::Gone => Self::Gone,
+        }
     }
 }
 

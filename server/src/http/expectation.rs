@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use super::App;
 use super::error::Error;
 use crate::locating::{Expectations, SPOTS_PER_SIDE, expected_word};
+use crate::patience::Patience;
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}/localizability`
 pub async fn tile(
@@ -22,13 +23,13 @@ pub async fn tile(
 ) -> Result<Response, Error> {
     let id: TileId = format!("{epsg}/{x}/{y}").parse()?;
     let expectations = Arc::clone(&app.state.expectations);
-    let body = app.limiter.work(move || describe(&expectations, id)).await?;
+    let body = app.limiter.attended(move |patience| describe(&expectations, id, patience)).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
 }
 
-fn describe(expectations: &Expectations, id: TileId) -> Result<Value, Error> {
+fn describe(expectations: &Expectations, id: TileId, patience: &Patience) -> Result<Value, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id} and around it"));
-    let tile = expectations.tile(id)?.ok_or_else(nothing)?;
+    let tile = expectations.tile(id, patience)?.ok_or_else(nothing)?;
     let grid = Grid::new(id.zone)?;
     let spots = tile.spots().map(|(column, row, expected)| {
         let middle = [column, row].map(|step| (step as f64 + 0.5) * TILE_M / SPOTS_PER_SIDE as f64);

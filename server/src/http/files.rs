@@ -11,6 +11,7 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use echofix_core::geo::{Grid, TileId};
+use echofix_core::time::day_of;
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::mpsc;
@@ -21,6 +22,8 @@ use super::App;
 use super::error::Error;
 use super::operations::work;
 use super::raster::corners;
+use super::region_days::DatedRegion;
+use crate::grpc::now_us;
 use crate::store::{self, MapStore, Operations, Region};
 use crate::trace::in_current_span;
 
@@ -67,8 +70,13 @@ pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Res
     let (sender, receiver) = mpsc::channel(CHUNKS);
     let sending = send(request.into_body().into_data_stream(), sender);
     let importing = work(&app, move |operations| {
-        let mut file = ImportBody { receiver, rest: Bytes::new(), left: MAX_IMPORT };
-        Ok(operations.import(&mut file)?)
+        let file = ImportBody { receiver, rest: Bytes::new(), left: MAX_IMPORT };
+        let mut file = DatedRegion::new(file, day_of(now_us()));
+        let imported = operations.import(&mut file);
+        match file.refused() {
+            Some(reason) => Err(Error::BadRequest(reason)),
+            None => Ok(imported?),
+        }
     });
     let (imported, ()) = tokio::join!(importing, sending);
     let imported = imported?;

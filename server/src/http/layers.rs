@@ -24,7 +24,8 @@ pub async fn tile(
     let layer: Layer = layer.parse()?;
     let view = View::parse(&z, &x, &file)?;
     let artist: Arc<Artist> = Arc::clone(&app.artist);
-    let answer = app.limiter.work(move || artist.draw(layer, view, |tag| is_known(&headers, tag))).await?;
+    let draw = move |patience: &_| artist.draw(layer, view, |tag| is_known(&headers, tag), patience);
+    let answer = app.limiter.attended(draw).await?;
     let headers = [(header::ETAG, answer.tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
     Ok(match answer.png {
         Some(png) => (headers, [(header::CONTENT_TYPE, "image/png")], png).into_response(),

@@ -11,6 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
 use super::error::Error;
+use crate::patience::Patience;
 use crate::trace::in_current_span;
 
 /// Longest address served, bytes; the longest sensible one is a tenth of it.
@@ -90,14 +91,26 @@ impl Limiter {
         &self,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
+        self.attended(move |_| work()).await
+    }
+
+    /// The same for work that may take long: it looks between its steps whether its caller still waits.
+    ///
+    /// # Errors
+    /// When too many wait already, the wait is too long, or the caller is gone.
+    pub async fn attended<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Patience) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
         const FULL: Error = Error::Saturated("all permits to render are taken");
         let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
         let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
         let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
+        let (patience, _waiting) = Patience::until(None);
         tokio::task::spawn_blocking(in_current_span(move || {
             // Held by the work, not by the request: a client that hangs up frees no permit early.
             let _held = (queued, permit);
-            work()
+            if patience.is_over() { Err(Error::Gone) } else { work(&patience) }
         }))
         .await?
     }
@@ -139,6 +152,21 @@ mod tests {
         assert!(busy.unwrap());
         assert!(matches!(turned_away, Err(Error::Saturated(_))));
         limiter.work(|| Ok(())).await.unwrap();
+    }
+
+    /// Catches: a picture of a whole city that is drawn for a page that was closed.
+    #[tokio::test]
+    async fn work_ends_with_its_caller() {
+        let limiter = Limiter::new(1, 1, 1);
+        let (ended, end) = std::sync::mpsc::channel();
+        let work = limiter.attended(move |patience| {
+            while !patience.is_over() {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            Ok(ended.send(()).is_ok())
+        });
+        assert!(timeout(Duration::from_millis(20), work).await.is_err());
+        assert!(end.recv_timeout(Duration::from_millis(100)).is_ok());
     }
 
     #[test]

@@ -1,12 +1,14 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
 //! - `error`: why a request was not answered, said once.
+//! - `origin`: which names the port answers to, and which pages may change anything.
 //! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
 //! - `expectation`: what fixes in a tile can be expected to be.
 //! - `operations`: the map's history, and what operators decide about it.
 //! - `files`: regions out and in, backups.
+//! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
@@ -24,15 +26,17 @@ mod limits;
 mod live;
 mod openapi;
 mod operations;
+mod origin;
 mod probes;
 mod raster;
+mod region_days;
 #[cfg(test)]
 pub(crate) mod testing;
 
 use std::sync::Arc;
 
 use axum::Router;
-use axum::middleware::from_fn;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodRouter, get, post};
 use tokio::sync::watch;
 
@@ -43,6 +47,7 @@ use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
+pub use origin::Hosts;
 
 /// What the routes answer from.
 #[derive(Clone)]
@@ -70,8 +75,13 @@ struct App {
     limiter: limits::Limiter,
 }
 
-/// The routes, ready to be served.
+/// The routes, whatever name they are asked for by.
 pub fn router(state: HttpState) -> Router {
+    router_at(state, Hosts::any())
+}
+
+/// The routes of a port, ready to be served.
+pub fn router_at(state: HttpState, hosts: Hosts) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let app = Arc::new(App { state, artist, limiter: limits::Limiter::default() });
@@ -80,6 +90,7 @@ pub fn router(state: HttpState) -> Router {
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
+        .layer(from_fn_with_state(Arc::new(hosts), origin::guard))
         .layer(from_fn(limits::guard))
         .layer(RequestSpanLayer::http())
         .with_state(app)
@@ -108,7 +119,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/compact", post(operations::compact)),
         // Its former name, which older commands use.
         ("/api/v1/map/settle", post(operations::compact)),
-        ("/api/v1/map/verify", get(operations::verify)),
+        ("/api/v1/map/verify", get(operations::verify).post(operations::verify)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),
         ("/api/v1/map/backup", get(files::backup)),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::{Query, State};
-use axum::http::header;
+use axum::http::{Method, header};
 use axum::response::{IntoResponse, Response};
 use echofix_core::datum::Offset;
 use echofix_core::geo::{Grid, Zone};
@@ -229,12 +229,17 @@ pub struct VerifyQuery {
     replay: bool,
 }
 
-/// `GET /api/v1/map/verify?replay=`
+/// `GET /api/v1/map/verify`, and `POST /api/v1/map/verify?replay=true`: folding the journal again takes a core for a minute,
+/// which no picture of a page shall start
 pub async fn verify(
+    method: Method,
     State(app): State<Arc<App>>,
     replay: Result<Query<VerifyQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let Query(VerifyQuery { replay }) = replay?;
+    if replay && method != Method::POST {
+        return Err(Error::PostOnly("a replay"));
+    }
     let found = work(&app, move |operations| Ok(operations.verify(replay)?)).await?;
     Ok(fresh(json!({
         "sound": found.damage.is_empty(),
@@ -298,7 +303,11 @@ mod tests {
         let diff = json_of(site.get("/api/v1/map/diff?from=6&to=8").await).await;
         assert!(diff["cells"]["removed"].as_u64().unwrap() > 0 && diff["cells"]["added"] == 0, "{diff}");
         assert_eq!(diff["tiles_changed"], diff["tiles"].as_array().unwrap().len());
-        let sound = json_of(site.get("/api/v1/map/verify?replay=true").await).await;
+        let plain = json_of(site.get("/api/v1/map/verify").await).await;
+        assert_eq!((&plain["sound"], &plain["records"]), (&json!(true), &json!(8)));
+        let started = site.get("/api/v1/map/verify?replay=true").await;
+        assert_eq!(started.status(), 405, "a picture of a page could ask for this");
+        let sound = json_of(site.post("/api/v1/map/verify?replay=true", &json!({})).await).await;
         assert_eq!((&sound["sound"], &sound["records"]), (&json!(true), &json!(8)));
         let compacted =
             json_of(site.post("/api/v1/map/compact", &json!({ "before": "2149-01-01" })).await).await;

@@ -3,7 +3,9 @@
 //! Computed for those who look at the map, one tile at a time and on one thread: a vehicle that asks where
 //! it is never waits for it.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::ops::RangeInclusive;
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+use std::time::Duration;
 
 use echofix_core::align::Search;
 use echofix_core::align::localizability::{Assessor, Expected, Localizability, REACH_M};
@@ -14,10 +16,14 @@ use echofix_core::window::MapSquare;
 use moka::sync::Cache;
 
 use super::prepared_tiles::PreparedTiles;
+use crate::patience::Patience;
 use crate::store::{Error, MapStore, TileInfo};
 
 /// Spots along a tile's side: a batch reaches several times as far as from one to the next.
 pub const SPOTS_PER_SIDE: usize = 2;
+const SPOTS: usize = SPOTS_PER_SIDE * SPOTS_PER_SIDE;
+/// How often a caller that waits for others looks whether it still should.
+const LOOK_AGAIN: Duration = Duration::from_millis(2);
 /// Side of the square that a spot stands for, metres.
 const SPOT_M: f64 = TILE_M / SPOTS_PER_SIDE as f64;
 /// Tiles whose expectations are cached.
@@ -39,7 +45,7 @@ pub struct TileExpectation {
     /// The newest version of a tile that it rests on: the tile itself and those within reach of a fix.
     pub version: u64,
     /// Spot by spot, row by row from the south-west.
-    spots: [Localizability; SPOTS_PER_SIDE * SPOTS_PER_SIDE],
+    spots: Vec<Localizability>,
 }
 
 impl TileExpectation {
@@ -54,6 +60,23 @@ impl TileExpectation {
         let origin = id.origin();
         let index = |along_m: f64| ((along_m / SPOT_M) as usize).min(SPOTS_PER_SIDE - 1);
         &self.spots[index(at.y_m - origin.y_m) * SPOTS_PER_SIDE + index(at.x_m - origin.x_m)]
+    }
+}
+
+/// Why there is no expectation.
+#[derive(Debug, thiserror::Error)]
+pub enum NotAssessed {
+    /// The map cannot be read.
+    #[error(transparent)]
+    Store(#[from] Arc<Error>),
+    /// Nobody waits for it any more.
+    #[error("the caller no longer waits")]
+    Gone,
+}
+
+impl From<Error> for NotAssessed {
+    fn from(error: Error) -> Self {
+        Self::Store(Arc::new(error))
     }
 }
 
@@ -84,12 +107,12 @@ impl Expectations {
     }
 
     /// What fixes in a tile can be expected to be; `None` where nothing is known of it and its neighbours.
-    /// Takes a while where that is not known yet; blocks.
+    /// Takes a while where that is not known yet; blocks, but no longer than the caller waits.
     ///
     /// # Errors
-    /// When the map cannot be read.
-    pub fn tile(&self, id: TileId) -> Result<Option<Arc<TileExpectation>>, Arc<Error>> {
-        let catalog = self.store.catalog(id.zone, id.x - 2..=id.x + 2, id.y - 2..=id.y + 2)?;
+    /// When the map cannot be read, or the caller is gone.
+    pub fn tile(&self, id: TileId, patience: &Patience) -> Result<Option<Arc<TileExpectation>>, NotAssessed> {
+        let catalog = self.store.catalog(id.zone, around(id.x), around(id.y))?;
         if !catalog.iter().any(|tile| near(tile.id, id)) {
             return Ok(None);
         }
@@ -98,23 +121,39 @@ impl Expectations {
             return Ok(Some(known));
         }
         // One at a time: a caller that waited for the same tile finds it cached.
-        // A panic while holding the lock leaves buffers that the next assessment fills anew.
-        let mut assessor = self.assessor.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut assessor = self.assessor(patience)?;
         if let Some(known) = self.known.get(&key) {
             return Ok(Some(known));
         }
         let frame = square(id);
         let found = self.tiles.get(&*self.store, frame)?;
         let origin = id.origin();
-        let spots = std::array::from_fn(|i| {
+        let mut spots = Vec::with_capacity(SPOTS);
+        for i in 0..SPOTS {
+            if patience.is_over() {
+                return Err(NotAssessed::Gone);
+            }
             let middle = [i % SPOTS_PER_SIDE, i / SPOTS_PER_SIDE].map(|step| (step as f64 + 0.5) * SPOT_M);
             let at = origin.moved(middle[0], middle[1]);
-            assessor.assess(frame, &found.tiles, at, &self.search, &self.integrity)
-        });
+            spots.push(assessor.assess(frame, &found.tiles, at, &self.search, &self.integrity));
+        }
         let version = key.versions.iter().copied().max().unwrap_or_default();
         let made = Arc::new(TileExpectation { version, spots });
         self.known.insert(key, Arc::clone(&made));
         Ok(Some(made))
+    }
+
+    /// The assessor, once nobody else uses it.
+    fn assessor(&self, patience: &Patience) -> Result<MutexGuard<'_, Assessor>, NotAssessed> {
+        loop {
+            match self.assessor.try_lock() {
+                Ok(assessor) => return Ok(assessor),
+                // A panic while holding the lock leaves buffers that the next assessment fills anew.
+                Err(TryLockError::Poisoned(assessor)) => return Ok(assessor.into_inner()),
+                Err(TryLockError::WouldBlock) if patience.is_over() => return Err(NotAssessed::Gone),
+                Err(TryLockError::WouldBlock) => std::thread::sleep(LOOK_AGAIN),
+            }
+        }
     }
 
     /// The verdict that a fix will most likely get.
@@ -128,6 +167,11 @@ impl Expectations {
 fn square(id: TileId) -> MapSquare {
     let south_west = TileId { x: id.x - 1, y: id.y - 1, ..id };
     MapSquare { zone: id.zone, origin: south_west.first_cell(), side: 3 * CELLS_PER_TILE }
+}
+
+/// Two tiles to either side, as far as numbers reach.
+fn around(at: i32) -> RangeInclusive<i32> {
+    at.saturating_sub(2)..=at.saturating_add(2)
 }
 
 fn near(a: TileId, b: TileId) -> bool {

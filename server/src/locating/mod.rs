@@ -20,8 +20,9 @@ use echofix_core::geo::{self, Grid, LatLon, Zone};
 use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::window::MapSquare;
-pub use expectation::{Expectations, SPOTS_PER_SIDE, TileExpectation};
+pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation};
 
+use crate::patience::Patience;
 use crate::store::{self, MapStore};
 use prepared_tiles::{PreparedTiles, PreparedWindow};
 use slots::{ComputeSlot, ComputeSlots};
@@ -43,8 +44,8 @@ pub struct LocateRequest {
     pub sigma_yaw_rad: f64,
     /// Shall the answer contain what it believes?
     pub combine: bool,
-    /// When the vehicle no longer waits.
-    pub deadline: Option<Instant>,
+    /// How long the vehicle waits.
+    pub patience: Patience,
     /// The integrity risk the protection levels must hold for; `None` for the service's default.
     pub integrity_risk: Option<f64>,
 }
@@ -186,6 +187,9 @@ pub enum LocateRefusal {
     /// The service is ending.
     #[error("the service is ending; ask another one")]
     Ending,
+    /// Nobody waits for the answer any more.
+    #[error("the caller no longer waits")]
+    Gone,
 }
 
 /// A compute slot, given back when dropped.
@@ -237,6 +241,9 @@ impl Locator {
         admitted: &mut Admitted,
     ) -> Result<LocateAnswer, LocateRefusal> {
         self.check(request)?;
+        if request.patience.is_over() {
+            return Err(LocateRefusal::Gone);
+        }
         let queued = admitted.queued;
         self.answer(request, admitted.slot.aligner(), queued)
     }
@@ -300,6 +307,9 @@ impl Locator {
         if found.tiles.is_empty() {
             let swapped = self.knows_exchanged(request);
             return Err(no_map(frame, request.at, swapped));
+        }
+        if request.patience.is_over() {
+            return Err(LocateRefusal::Gone);
         }
         let window = fetching.elapsed();
         let aligning = Instant::now();
@@ -373,9 +383,7 @@ impl Locator {
         aligner: &mut Aligner,
     ) -> Result<Option<Alignment>, LocateRefusal> {
         let not_found = matches!(answer.verdict, Verdict::PriorOutsideSearch | Verdict::Lost { .. });
-        let late = request
-            .deadline
-            .is_some_and(|at| at.saturating_duration_since(Instant::now()) < RELOCALIZATION_TIME);
+        let late = !request.patience.lasts(RELOCALIZATION_TIME);
         let (search, integrity) = (self.config.search(), self.config.integrity());
         if !not_found || late || self.config.wide_search_m <= search.sigmas * prior.sigma_position_m {
             return Ok(None);

@@ -1,11 +1,13 @@
 //! Which connections are let in, and for how long they may say nothing.
 
+mod frames;
+
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
@@ -13,6 +15,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::time::{Sleep, sleep};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
+
+use crate::sparse;
+use frames::FrameCount;
 
 /// How long accepting rests when the system has no more descriptors.
 const REST: Duration = Duration::from_millis(50);
@@ -52,7 +57,9 @@ impl Acceptor {
             let stream = match self.listener.accept().await {
                 Ok((stream, _)) => stream,
                 Err(error) => {
-                    tracing::warn!(%error, "a connection could not be accepted");
+                    if let Some(left_out) = sparse::line("a connection could not be accepted") {
+                        tracing::warn!(%error, left_out, "a connection could not be accepted");
+                    }
                     sleep(REST).await;
                     continue;
                 }
@@ -64,7 +71,14 @@ impl Acceptor {
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
             let deadline = Box::pin(sleep(self.handshake));
-            return Connection { stream, deadline, first_request: FirstRequest::default(), _permit: permit };
+            let frames = FrameCount::new(Instant::now());
+            return Connection {
+                stream,
+                deadline,
+                first_request: FirstRequest::default(),
+                frames,
+                _permit: permit,
+            };
         }
     }
 }
@@ -84,12 +98,22 @@ impl FirstRequest {
     }
 }
 
-/// A connection that ends when its first request does not come in time, whatever else it sends.
+/// A connection that ends when its first request does not come in time, whatever else it sends, and when it sends frames
+/// without end that carry none.
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
     pub(super) first_request: FirstRequest,
+    frames: FrameCount,
     _permit: OwnedSemaphorePermit,
+}
+
+impl Connection {
+    fn note_sent(&mut self, written: &Poll<io::Result<usize>>) {
+        if let Poll::Ready(Ok(bytes)) = written {
+            self.frames.sent(*bytes);
+        }
+    }
 }
 
 impl Connected for Connection {
@@ -112,13 +136,26 @@ impl AsyncRead for Connection {
                 return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
             }
         }
-        Pin::new(&mut self.stream).poll_read(cx, buf)
+        let before = buf.filled().len();
+        let read = Pin::new(&mut self.stream).poll_read(cx, buf);
+        if !self.frames.take(&buf.filled()[before..], Instant::now()) {
+            if let Some(left_out) = sparse::line("a connection sends frames without end") {
+                tracing::info!(
+                    left_out,
+                    "closed a connection: it sends frames without end that carry no request"
+                );
+            }
+            return Poll::Ready(Err(io::ErrorKind::InvalidData.into()));
+        }
+        read
     }
 }
 
 impl AsyncWrite for Connection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(cx, bytes)
+        let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
+        self.note_sent(&written);
+        written
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -134,7 +171,9 @@ impl AsyncWrite for Connection {
         cx: &mut Context<'_>,
         bytes: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write_vectored(cx, bytes)
+        let written = Pin::new(&mut self.stream).poll_write_vectored(cx, bytes);
+        self.note_sent(&written);
+        written
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -20,7 +20,7 @@ use tonic_health::server::HealthReporter;
 use super::connections::{Acceptor, FirstRequest};
 use super::{Error, ServiceContext};
 use crate::config::LimitsConfig;
-use crate::grpc::{LocalizationApi, MapApi, MappingApi};
+use crate::grpc::{FaultsLayer, LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
 use crate::locating::Locator;
 use crate::trace::RequestSpanLayer;
@@ -30,6 +30,8 @@ const STREAM_WINDOW: u32 = 1 << 20;
 const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Bytes of an answer: a piece of a tile stays far below, and so do the names of all tiles of an area.
 const MAX_ANSWER: usize = 4 << 20;
+/// Bytes of a question about the service itself: the name of a symbol, a file or a service.
+const MAX_NAME: usize = 512;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(
@@ -65,12 +67,17 @@ pub(super) async fn serve(
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()?;
+        .build_v1()?
+        // Whoever asks for a symbol is told its name again: in the answer, or in the trailers.
+        .max_decoding_message_size(MAX_NAME)
+        .max_encoding_message_size(MAX_ANSWER);
+    let health = health.max_decoding_message_size(MAX_NAME);
 
     let acceptor = Acceptor::new(listener, connections, limits.handshake());
     let served = limited(limits)
         .layer(RequestSpanLayer::grpc())
         .layer(InterceptorLayer::new(note_request))
+        .layer(FaultsLayer::new(metrics.clone()))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)

@@ -12,7 +12,7 @@ use tokio_stream::StreamExt;
 use super::connections::Acceptor;
 use super::{ServiceContext, ended};
 use crate::config::LimitsConfig;
-use crate::http::{HttpState, router};
+use crate::http::{Hosts, HttpState, router_at};
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
@@ -20,7 +20,11 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     let limits = &config.limits;
     let builder = builder(limits);
     let state = HttpState { store, operations, expectations, feed, metrics, health, ending: ending.clone() };
-    let routes = TowerToHyperService::new(router(state));
+    let routes = match listener.local_addr() {
+        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts)),
+        Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
+    };
+    let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
     let mut connections = Acceptor::new(listener, limits.connections, limits.handshake()).open();
     let ended = ended(ending);

@@ -18,8 +18,9 @@ use super::super::error::{Error, io_error, is_finite};
 use super::messages::{self, log};
 use super::topic;
 
-/// A record larger than this is damage, not a measurement.
-const MAX_RECORD: usize = 64 << 20;
+/// A record, packed or not, that is larger than this is damage and no measurement; room is made for what a record says it
+/// takes.
+const MAX_RECORD: usize = 16 << 20;
 
 pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
     let mut file = BufReader::new(File::open(path).map_err(|e| io_error(path, e))?);

@@ -18,6 +18,7 @@
 //! `detection_time_offset_us` (from `time_us`, of a radar that takes its time for a scan) may be missing as columns, or
 //! empty in all rows of a scan; the last two are written where some scan has them. A row without range and azimuth is a scan that detected nothing.
 
+mod bounded;
 mod read;
 mod row;
 mod table;

@@ -12,6 +12,11 @@ use serde::de::DeserializeOwned;
 
 use super::super::Problem;
 use super::super::error::{Error, io_error};
+use super::bounded::BoundedText;
+
+/// Times that a table may be larger than its file, and bytes that it may always have: beyond, it is made to fill the memory.
+const MOST_PACKED: u64 = 100;
+const ALWAYS_UNPACKED: u64 = 64 << 20;
 
 /// A table that is there, compressed or not.
 pub(crate) struct Table {
@@ -66,8 +71,11 @@ impl Table {
 
     fn open(&self) -> Result<Box<dyn Read>, Error> {
         let file = BufReader::new(File::open(&self.path).map_err(|e| io_error(&self.path, e))?);
+        let packed = file.get_ref().metadata().map_err(|e| io_error(&self.path, e))?.len();
         let is_gz = self.path.extension().is_some_and(|e| e == "gz");
-        Ok(if is_gz { Box::new(BufReader::new(MultiGzDecoder::new(file))) } else { Box::new(file) })
+        let most = if is_gz { packed.saturating_mul(MOST_PACKED).max(ALWAYS_UNPACKED) } else { u64::MAX };
+        let bytes: Box<dyn Read> = if is_gz { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) };
+        Ok(Box::new(BoundedText::new(bytes, most)))
     }
 
     fn bad_row(&self, line: u64, problem: Problem) -> Error {

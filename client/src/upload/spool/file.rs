@@ -3,14 +3,16 @@
 //! A file is the magic `EFXSPL01`, the CRC-32C of the rest (4 bytes, little-endian), its length
 //! (8 bytes, little-endian), and the upload's messages, each preceded by its length.
 
-use std::fs;
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use super::super::DamagedUpload;
 
 const MAGIC: &[u8; 8] = b"EFXSPL01";
 const HEADER: usize = 20;
+/// Bytes of a file, at most: several times what the service takes of an upload.
+const MAX_BYTES: u64 = 64 << 20;
 
 /// A body behind its header, by which damage is noticed.
 pub(super) fn seal(body: &[u8]) -> Vec<u8> {
@@ -20,6 +22,13 @@ pub(super) fn seal(body: &[u8]) -> Vec<u8> {
     contents.extend_from_slice(&(body.len() as u64).to_le_bytes());
     contents.extend_from_slice(body);
     contents
+}
+
+/// All of a file; `None` of one that is larger than any upload.
+pub(super) fn read(path: &Path) -> io::Result<Option<Vec<u8>>> {
+    let (mut contents, file) = (Vec::new(), File::open(path)?);
+    file.take(MAX_BYTES + 1).read_to_end(&mut contents)?;
+    Ok((contents.len() as u64 <= MAX_BYTES).then_some(contents))
 }
 
 /// The body, if it is whole.

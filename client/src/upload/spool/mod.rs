@@ -161,8 +161,11 @@ impl Spool {
     /// When the file system refuses.
     pub fn read(&self, id: Uuid) -> Result<Option<PreparedUpload>, Error> {
         let path = self.path_of(id);
-        let contents = match fs::read(&path) {
-            Ok(contents) => contents,
+        let contents = match file::read(&path) {
+            Ok(Some(contents)) => contents,
+            Ok(None) => {
+                return self.set_aside(id, "damaged", "the file is larger than any upload").map(|()| None);
+            }
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
                 tracing::warn!(%id, "a waiting upload has vanished from the spool");
                 self.forget(id);

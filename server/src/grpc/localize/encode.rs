@@ -227,6 +227,7 @@ pub(super) fn reason(refusal: &LocateRefusal) -> &'static str {
         LocateRefusal::Overloaded { .. } => "OVERLOADED",
         LocateRefusal::Store(_) => "MAP_UNREADABLE",
         LocateRefusal::Ending => "ENDING",
+        LocateRefusal::Gone => "GONE",
     }
 }
 
@@ -235,6 +236,7 @@ pub(super) fn refused(refusal: &LocateRefusal) -> Status {
         LocateRefusal::Overloaded { retry_after, .. } => status::overloaded(refusal, *retry_after),
         LocateRefusal::Store(error) => status::store(error),
         LocateRefusal::Ending => status::unavailable(refusal, Duration::from_secs(1)),
+        LocateRefusal::Gone => status::gone(),
         _ => status::refused(reason(refusal), refusal, &[]),
     }
 }

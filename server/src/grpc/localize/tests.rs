@@ -63,7 +63,7 @@ fn service_and_request() -> (Localization, LocateRequest) {
         sigma_position_m: 0.5,
         sigma_yaw_rad: 0.02,
         combine: false,
-        deadline: None,
+        patience: Patience::default(),
         integrity_risk: None,
     };
     (inner, request)

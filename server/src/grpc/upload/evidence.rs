@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 
 use echofix_core::datum::PoseSigma;
+use echofix_core::evidence::EvidenceDelta;
 use echofix_core::evidence::build::{BuildError, BuiltEvidence};
-use echofix_core::evidence::{EvidenceDelta, codec};
+use echofix_core::evidence::codec::{self, DeltaLimits};
 use echofix_core::gate::Dropped;
 use echofix_core::geo::Zone;
+use echofix_core::tile::DecodeError;
 use echofix_proto::v1::EvidenceChunk;
 
 use super::Error;
@@ -15,8 +17,6 @@ use crate::mapping::MappingConfig;
 
 /// Hits that one upload may have in one cell: more than radars make in the seconds it spans.
 const MAX_CELL_HITS: u32 = 4_096;
-/// Bytes of a cell, unpacked, at most.
-const CELL_BYTES: usize = 21;
 
 /// The pieces of a contribution.
 #[derive(Debug, Default)]
@@ -47,7 +47,7 @@ impl Evidence {
     }
 
     /// The contribution, if it could have come from a vehicle that keeps to the limits.
-    pub(super) fn checked(self, config: &MappingConfig) -> Result<BuiltEvidence, Error> {
+    pub(super) fn checked(mut self, config: &MappingConfig) -> Result<BuiltEvidence, Error> {
         let limits = config.limits();
         if self.sigma_position_m > limits.segments.max_sigma_position_m
             || self.sigma_yaw_rad > limits.segments.max_sigma_yaw_rad
@@ -56,13 +56,16 @@ impl Evidence {
             return Err(BuildError::PoseTooUncertain { position_m, yaw_deg }.into());
         }
         let invalid = |why: &dyn std::fmt::Display| Error::Evidence(why.to_string());
-        let head = codec::decode_header(&self.bytes).map_err(|error| invalid(&error))?;
-        let (tiles, most) = (head.tiles.len(), limits.max_tiles);
-        if tiles > most {
-            return Err(BuildError::TooManyTiles { tiles, most }.into());
-        }
-        let room = config.max_upload_detections * CELL_BYTES;
-        let contribution = codec::decode(&self.bytes, room).map_err(|error| invalid(&error))?;
+        // A cell was hit once at least, so that an upload has no more cells than detections.
+        let room = DeltaLimits { tiles: limits.max_tiles, cells: config.max_upload_detections };
+        let contribution = codec::decode_within(&self.bytes, room).map_err(|error| match error {
+            DecodeError::TooManyTiles { found: tiles, most } => {
+                BuildError::TooManyTiles { tiles, most }.into()
+            }
+            error => invalid(&error),
+        })?;
+        // The largest part of an upload while it waits to be checked.
+        drop(std::mem::take(&mut self.bytes));
         let detections = detections(&contribution);
         if detections == 0 {
             return Err(BuildError::NoDetections { sent: 0 }.into());

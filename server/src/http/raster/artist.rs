@@ -13,6 +13,7 @@ use super::view_content::{SPOT_SHIFT, TILES_FROM, ViewContent};
 use super::{Layer, Overview, Spot, View, palette};
 use crate::http::error::Error;
 use crate::locating::Expectations;
+use crate::patience::Patience;
 use crate::store::{MapStore, TileInfo};
 
 /// Bytes of pictures to remember.
@@ -60,8 +61,14 @@ impl Artist {
     /// A view of a layer, unless `is_known` knows its tag.
     ///
     /// # Errors
-    /// When the store refuses.
-    pub fn draw(&self, layer: Layer, view: View, is_known: impl Fn(&str) -> bool) -> Result<Picture, Error> {
+    /// When the store refuses, or nobody waits for the picture any more.
+    pub fn draw(
+        &self,
+        layer: Layer,
+        view: View,
+        is_known: impl Fn(&str) -> bool,
+        patience: &Patience,
+    ) -> Result<Picture, Error> {
         let content = match view.z {
             z if z < layer.min_zoom() => ViewContent::Near(Vec::new()),
             z if z < TILES_FROM => ViewContent::Far(self.overview()?),
@@ -75,7 +82,7 @@ impl Artist {
         if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(cached, _)| *cached == tag) {
             return Ok(Picture { tag, png: Some(png) });
         }
-        let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile))?;
+        let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile, patience))?;
         let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
         self.pictures.insert((layer, view), (tag.clone(), png.clone()));
         Ok(Picture { tag, png: Some(png) })
@@ -101,9 +108,18 @@ impl Artist {
 
     /// Adds a tile to a plane: cell by cell to a fine one, as its summary to a coarse one; or spot by spot,
     /// where it is shown what can be expected of fixes.
-    fn fetch(&self, layer: Layer, plane: &mut Plane, tile: &TileInfo) -> Result<(), Error> {
+    fn fetch(
+        &self,
+        layer: Layer,
+        plane: &mut Plane,
+        tile: &TileInfo,
+        patience: &Patience,
+    ) -> Result<(), Error> {
+        if patience.is_over() {
+            return Err(Error::Gone);
+        }
         if layer == Layer::Localizability {
-            if let Some(expected) = self.expectations.tile(tile.id)? {
+            if let Some(expected) = self.expectations.tile(tile.id, patience)? {
                 let spot = |expected| Spot::of_expected(expected, self.expectations.verdict(expected));
                 let found = expected.spots().map(|(x, y, expected)| (x as u32, y as u32, spot(expected)));
                 plane.add(tile.id, SPOT_SHIFT, found);

@@ -1,0 +1,176 @@
+//! Which names the port answers to, and which pages may change anything.
+//!
+//! A page of a stranger's name can have that name lead to this port (DNS rebinding): its requests then carry the stranger's
+//! name as their host. And any page can send requests here, which then carry its origin.
+
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, Method, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::error::Error;
+
+/// Probes, which are sent to whatever name or address a machine has and tell nothing.
+const PROBES: [&str; 2] = ["/healthz", "/readyz"];
+
+/// The names that the port answers to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Hosts(Option<(IpAddr, Vec<String>)>);
+
+impl Hosts {
+    /// Of a port bound to an address, with names that lead to it besides.
+    #[must_use]
+    pub fn of(bound: SocketAddr, names: &[String]) -> Self {
+        Self(Some((bound.ip(), names.iter().map(|name| bare(name).to_ascii_lowercase()).collect())))
+    }
+
+    /// Whatever name: for routes without a port.
+    #[must_use]
+    pub fn any() -> Self {
+        Self(None)
+    }
+
+    /// Is the host, with or without a port, one of these?
+    fn know(&self, host: &str) -> bool {
+        let Some((bound, names)) = &self.0 else { return true };
+        let name = name_of(host).to_ascii_lowercase();
+        if names.contains(&name) || name == "localhost" {
+            return true;
+        }
+        // A page that got here by an address is this port's own: no name was involved.
+        name.parse().is_ok_and(|address: IpAddr| {
+            let (address, bound) = (address.to_canonical(), bound.to_canonical());
+            address == bound || bound.is_unspecified() || (bound.is_loopback() && address.is_loopback())
+        })
+    }
+}
+
+/// A host without its port, and an address without its brackets.
+fn name_of(host: &str) -> &str {
+    let end = host.rfind(']').map_or(0, |end| end + 1);
+    let port = host[end..].rfind(':').filter(|_| end > 0 || host.matches(':').count() == 1);
+    bare(&host[..port.map_or(host.len(), |at| end + at)])
+}
+
+fn bare(name: &str) -> &str {
+    name.trim_start_matches('[').trim_end_matches(']').trim_end_matches('.')
+}
+
+/// Refuses requests for another name, and changes that another page asks for.
+pub async fn guard(State(hosts): State<Arc<Hosts>>, request: Request, next: Next) -> Response {
+    match checked(&hosts, &request) {
+        Ok(()) => next.run(request).await,
+        Err(error) => error.into_response(),
+    }
+}
+
+fn checked(hosts: &Hosts, request: &Request) -> Result<(), Error> {
+    let path = request.uri().path();
+    if PROBES.contains(&path) {
+        return Ok(());
+    }
+    let headers = request.headers();
+    // HTTP/2 has the host in the address; HTTP/1 may have it in both, and then they must agree.
+    let in_header = text(headers, header::HOST.as_str());
+    let in_address = request.uri().authority().map(axum::http::uri::Authority::as_str);
+    let stranger = [in_header, in_address].into_iter().flatten().any(|host| !hosts.know(host));
+    if stranger || headers.get_all(header::HOST).iter().count() > 1 {
+        return Err(Error::WrongHost);
+    }
+    let site = text(headers, "sec-fetch-site").unwrap_or("none");
+    let reads = [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method());
+    // Even a picture of another page could start work, or read what it may not.
+    let foreign = site == "cross-site" && path.starts_with("/api/");
+    let moved = !reads && !["same-origin", "none"].contains(&site);
+    if foreign || moved || (!reads && !is_own(headers, in_header.or(in_address))) {
+        return Err(Error::WrongOrigin);
+    }
+    Ok(())
+}
+
+/// Does the request come from no page, or from one of the host it is sent to?
+fn is_own(headers: &HeaderMap, host: Option<&str>) -> bool {
+    let mut origins = headers.get_all(header::ORIGIN).iter();
+    let Some(origin) = origins.next() else { return true };
+    let authority = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, rest)| rest);
+    let same = authority.zip(host).is_some_and(|(origin, host)| origin.eq_ignore_ascii_case(host));
+    same && origins.next().is_none()
+}
+
+/// A header that is text; one that is not counts as a name nobody knows.
+fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    headers.get(name).map(|value| value.to_str().unwrap_or("?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::body::Body;
+
+    fn asked(method: Method, path: &str, headers: &[(&str, &str)]) -> Result<(), u16> {
+        let hosts = Hosts::of("127.0.0.1:8080".parse().unwrap(), &["maps.example.com".to_owned()]);
+        let request = Request::builder().method(method).uri(path);
+        let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
+        let checked = checked(&hosts, &request.body(Body::empty()).unwrap());
+        checked.map_err(|error| error.into_response().status().as_u16())
+    }
+
+    /// Catches: a page whose name was led to this port, and that then reads the backup.
+    #[test]
+    fn only_own_names_are_answered() {
+        let get = |host: &str| asked(Method::GET, "/api/v1/map/backup", &[("host", host)]);
+        for own in [
+            "127.0.0.1:8080",
+            "localhost",
+            "LOCALHOST:9000",
+            "[::1]:8080",
+            "maps.example.com:443",
+            "localhost.",
+        ] {
+            assert_eq!(get(own), Ok(()), "{own}");
+        }
+        for foreign in [
+            "evil.example",
+            "evil.example:8080",
+            "127.0.0.1.evil.example",
+            "localhost.evil.example:8080",
+            "10.0.0.7:8080",
+            "",
+            "evil.example:8080@127.0.0.1",
+        ] {
+            assert_eq!(get(foreign), Err(421), "{foreign}");
+        }
+        assert_eq!(asked(Method::GET, "/readyz", &[("host", "10.0.0.7")]), Ok(()), "probes come by any name");
+        assert_eq!(asked(Method::GET, "http://evil.example/", &[("host", "localhost")]), Err(421));
+    }
+
+    /// Catches: another page that rolls the map back.
+    #[test]
+    fn only_own_pages_change_anything() {
+        let post = |headers: &[(&str, &str)]| {
+            let headers = [&[("host", "localhost:8080")], headers].concat();
+            asked(Method::POST, "/api/v1/map/rollback", &headers)
+        };
+        assert_eq!(post(&[]), Ok(()), "a command is no page");
+        assert_eq!(post(&[("origin", "http://localhost:8080"), ("sec-fetch-site", "same-origin")]), Ok(()));
+        for foreign in ["https://evil.example", "null", "http://localhost:3000", "http://localhost", ""] {
+            assert_eq!(post(&[("origin", foreign)]), Err(403), "{foreign}");
+        }
+        assert_eq!(post(&[("sec-fetch-site", "cross-site")]), Err(403));
+        assert_eq!(post(&[("sec-fetch-site", "same-site")]), Err(403));
+        let picture = [("host", "localhost"), ("sec-fetch-site", "cross-site")];
+        assert_eq!(asked(Method::GET, "/api/v1/map/verify", &picture), Err(403));
+        assert_eq!(asked(Method::GET, "/", &picture), Ok(()), "a link to the console is one");
+    }
+
+    #[test]
+    fn a_port_on_all_addresses_answers_to_any_address_and_to_no_other_name() {
+        let hosts = Hosts::of("[::]:8080".parse().unwrap(), &[]);
+        assert!(hosts.know("10.0.0.7:8080") && hosts.know("[fe80::1]:8080") && hosts.know("localhost"));
+        assert!(!hosts.know("evil.example") && !hosts.know("maps.example.com"));
+        assert!(Hosts::any().know("evil.example"));
+    }
+}
