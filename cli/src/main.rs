@@ -6,6 +6,7 @@
 #![allow(clippy::print_stdout, reason = "printing is what a command does")]
 
 mod commands;
+mod offline;
 
 use std::process::ExitCode;
 

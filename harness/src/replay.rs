@@ -7,8 +7,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use echofix_client::refusal::CallError;
 use echofix_client::service::ServiceAddress;
+use echofix_client::vehicle::LocalizationQuestion;
 use echofix_client::{Localizer, LocalizerOptions};
 use echofix_core::drive::Drive;
+use echofix_proto::v1::LocalizeResponse;
 use indicatif::ProgressBar;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -16,6 +18,21 @@ use tokio::task::JoinSet;
 use crate::fix_record::FixRecord;
 use crate::questions::{DriveQuestions, QuestionPlan};
 use crate::recording::LeftOut;
+
+/// Answers questions: a service, or this machine from tiles of its own.
+pub trait Answering: Clone + Send + Sync + 'static {
+    /// Answers one.
+    fn answer(
+        &self,
+        question: &LocalizationQuestion,
+    ) -> impl Future<Output = Result<LocalizeResponse, CallError>> + Send;
+}
+
+impl Answering for Localizer {
+    async fn answer(&self, question: &LocalizationQuestion) -> Result<LocalizeResponse, CallError> {
+        self.ask(question).await
+    }
+}
 
 /// All fixes of a drive.
 #[derive(Debug, Clone, Default)]
@@ -45,7 +62,7 @@ pub fn patient_localizer(server: &str) -> anyhow::Result<Localizer> {
 /// When there is nothing to ask, or the service is out of reach.
 pub async fn ask(
     drive: &Drive,
-    localizer: &Localizer,
+    localizer: &impl Answering,
     plan: &QuestionPlan,
     at_once: usize,
     bar: &ProgressBar,
@@ -59,7 +76,7 @@ pub async fn ask(
         calls.spawn(async move {
             let _permit = permits.acquire_owned().await;
             let from = Instant::now();
-            let answer = localizer.ask(asked.question(index)).await;
+            let answer = localizer.answer(asked.question(index)).await;
             (index, answer, from.elapsed().as_secs_f64() * 1e3)
         });
     }

@@ -1,4 +1,4 @@
-//! `echofix localize`: the service localizes the batches of a drive log.
+//! `echofix localize`: the service, or this machine from tiles of its own, localizes the batches of a drive log.
 
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,7 @@ use echofix_harness::replay::{ask, patient_localizer};
 use echofix_harness::summary::FixSummary;
 
 use super::ScanRange;
+use crate::offline::OfflineLocalizer;
 
 /// Arguments of `echofix localize`.
 #[derive(clap::Args)]
@@ -24,6 +25,9 @@ pub struct Args {
     /// URL of the service's gRPC port.
     #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
     server: String,
+    /// Localize on this machine, against the tiles in this folder (`echofix tiles sync`), without any service.
+    #[arg(long, conflicts_with = "server")]
+    offline: Option<PathBuf>,
     /// Use only these scans of the log, counted from 1, like 10-18.
     #[arg(long)]
     scans: Option<ScanRange>,
@@ -89,9 +93,11 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
             yaw_rate_radps: args.odometry_sigma_degps.to_radians(),
         },
     };
-    let localizer = patient_localizer(&args.server)?;
     let bar = progress::bar("localizing", 0, json);
-    let replay = ask(&drive, &localizer, &plan, args.at_once, &bar).await?;
+    let replay = match &args.offline {
+        Some(tiles) => ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?,
+        None => ask(&drive, &patient_localizer(&args.server)?, &plan, args.at_once, &bar).await?,
+    };
     bar.finish_and_clear();
     if let Some(out) = &args.out {
         write(out, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
