@@ -120,6 +120,18 @@ mod tests {
         }
     }
 
+    /// Catches a jump that the newest scans alone could tell: most of the batch fits where the body no longer is.
+    #[test]
+    fn a_metre_shortly_before_the_end_is_found() {
+        let at_us = 4_800_000;
+        for hertz in [10, 20, 50, 100] {
+            let jump = Some((at_us, Pose2::new(1.0, 0.0, 0.0)));
+            let found = last_jump(&way(1_000_000 / hertz, 1.0, jump), 0, 5_000_000);
+            let late = found.expect("it is found") - at_us;
+            assert!((0..=1_000_000 / hertz).contains(&late), "{hertz}/s: {late} us late");
+        }
+    }
+
     #[test]
     fn a_turn_on_the_spot_is_a_jump() {
         let jump = Some((3_000_000, Pose2::new(0.0, 0.0, 0.2)));
