@@ -100,6 +100,20 @@ fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
     assert_eq!(summary["beyond_protection"], 0, "{summary}");
     assert_eq!(fs::read_to_string(&fixes_csv).unwrap().lines().count(), fixes.len() + 1);
 
+    // The same without the service, from the tiles that it sent.
+    let tiles = folder.path("tiles");
+    echofix(["tiles", "sync", &tiles, "--server", &service.grpc, "--json"]).json();
+    let asked = ["localize", &csv, "--offline", &tiles, "--every-s", "3", "--json"];
+    let offline = echofix(asked).json();
+    let alike = |fix: &serde_json::Value| {
+        let of = |key: &str| fix[key].clone();
+        ["time_us", "outcome", "latitude_deg", "longitude_deg", "yaw_rad", "protection_along_m"].map(of)
+    };
+    let offline = offline["fixes"].as_array().unwrap();
+    assert!(offline.iter().map(alike).eq(fixes.iter().map(alike)), "{offline:?}\n{fixes:?}");
+    let nowhere = echofix(["localize", &csv, "--offline", &folder.path("nowhere")]);
+    assert!(nowhere.code == Some(1) && nowhere.stderr.contains("tiles sync"), "{nowhere:?}");
+
     // Once more for people: no JSON, the same counts.
     let text = echofix(["localize", &csv, "--server", &service.grpc, "--every-s", "10"]);
     assert!(text.code == Some(0) && text.stdout.contains("questions: "), "{text:?}");
