@@ -19,11 +19,11 @@ test *ARGS:
 
 # The tests on recorded drives; ECHOFIX_DATA_DIR names the folder that holds them.
 test-data:
-    cargo test --workspace -- --ignored --skip power_cut --skip is_caught
+    cargo test --workspace -- --ignored --skip power_cut --skip is_caught --skip file_system
 
-# The tests of power cuts; as root, with loop devices.
+# The tests of power cuts and full disks; as root, with loop devices.
 test-power:
-    cargo test -p echofix-tests --test power_cut -- --ignored --test-threads 1
+    cargo test -p echofix-tests --test power_cut --test trouble -- --ignored --test-threads 1
 
 # Formatting, lints, the crates that must build without features, and what is linked (where cargo-deny is installed).
 lint:

@@ -11,8 +11,8 @@ use echofix_client::vehicle::LocalizationQuestion;
 use echofix_core::geo::{TileId, Zone};
 use echofix_harness::replay::Answering;
 use echofix_proto::v1::LocalizeResponse;
-use echofix_server::grpc::LocalizationApi;
 use echofix_server::args::ServeArgs;
+use echofix_server::grpc::LocalizationApi;
 use echofix_server::locating::Locator;
 use echofix_server::store::{
     Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord,
@@ -130,10 +130,8 @@ impl OfflineLocalizer {
 impl Answering for OfflineLocalizer {
     async fn answer(&self, question: &LocalizationQuestion) -> Result<LocalizeResponse, CallError> {
         let admitted = self.0.locator.admit().await;
-        let admitted = admitted.map_err(|refusal| CallError::Overloaded {
-            message: refusal.to_string(),
-            retry_after: None,
-        })?;
+        let admitted = admitted
+            .map_err(|refusal| CallError::Overloaded { message: refusal.to_string(), retry_after: None })?;
         let (inner, request) = (Arc::clone(&self.0), question.request.clone());
         let work = tokio::task::spawn_blocking(move || inner.api.work(request, admitted));
         let done = work.await.map_err(|error| CallError::Unavailable {

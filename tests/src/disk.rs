@@ -4,6 +4,7 @@
 //! disk would hold after a power cut. Needs root and loop devices.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -11,6 +12,8 @@ use tempfile::TempDir;
 
 /// Room for a test's data.
 const SIZE: u64 = 256 << 20;
+/// Bytes written at once to fill it.
+const FILLING: usize = 64 << 10;
 
 /// A mounted image.
 pub struct Disk {
@@ -21,9 +24,14 @@ pub struct Disk {
 impl Disk {
     /// An empty one.
     pub fn new() -> Self {
+        Self::of(SIZE)
+    }
+
+    /// An empty one of so many bytes.
+    pub fn of(bytes: u64) -> Self {
         let disk = Self { folder: tempfile::tempdir().expect("a folder can be made"), cuts: 0 };
         let image = fs::File::create(disk.image()).expect("an image can be made");
-        image.set_len(SIZE).expect("an image can be made");
+        image.set_len(bytes).expect("an image can be made");
         run(Command::new("mkfs.ext4").args(["-q", "-F"]).arg(disk.image()));
         disk.mount();
         disk
@@ -42,6 +50,24 @@ impl Disk {
         unmount(&mounted);
         fs::remove_file(image).expect("the old image can be removed");
         self.mount();
+    }
+
+    /// Writes until there is no room left.
+    pub fn fill(&self) {
+        let mut file = fs::File::create(self.filler()).expect("a file can be made");
+        for length in [FILLING, 512, 1] {
+            while file.write_all(&vec![7; length]).is_ok() {}
+        }
+        let _ = file.sync_all();
+    }
+
+    /// Removes what filled it.
+    pub fn free(&self) {
+        fs::remove_file(self.filler()).expect("the disk was filled");
+    }
+
+    fn filler(&self) -> PathBuf {
+        self.path().join("filler")
     }
 
     fn image(&self) -> PathBuf {

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use echofix_proto::v1::LocalizeRequest;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
+use echofix_tests::disk::Disk;
 use echofix_tests::limits::{self, Unsignalled};
 use echofix_tests::service::{Service, Setup};
 use echofix_tests::traffic::Uploads;
@@ -35,8 +36,13 @@ struct Scene {
 
 impl Scene {
     async fn new() -> Self {
+        Self::in_folder(None).await
+    }
+
+    /// The data directory, if it is not to be one of the service's own folder.
+    async fn in_folder(data_dir: Option<PathBuf>) -> Self {
         let unsignalled = Unsignalled::new();
-        let setup = Setup { program: Some(unsignalled.program()), ..Setup::default() };
+        let setup = Setup { program: Some(unsignalled.program()), data_dir, ..Setup::default() };
         let world = World::mapped_with(Service::start_as(setup)).await;
         let questions = world.questions(300.0, 5.0).into_iter().map(|question| question.request).collect();
         let channel = grpc::connect(&world.service).await;
@@ -149,6 +155,28 @@ async fn a_full_disk_takes_no_uploads_and_localizing_goes_on() {
     service.start_again();
     mapping::folded(service).await;
     assert_eq!(tiles::all(service).await, map, "nothing acknowledged is lost");
+}
+
+/// Catches: what a limit of files does not show: a file system that refuses names, too, and a start on it.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs root and loop devices"]
+async fn a_file_system_that_is_full_takes_no_uploads_and_the_map_is_served_from_it() {
+    let disk = Disk::of(96 << 20);
+    let mut scene = Scene::in_folder(Some(disk.path().join("data"))).await;
+    let before = scene.answered().await;
+    disk.fill();
+    scene.send_until_refused().await;
+    assert_eq!((scene.answered().await, &scene.ready()["uploading"]["ready"]), (before, &Value::Bool(false)));
+    scene.world.service.kill();
+    scene.world.service.start_again();
+    scene.channel = grpc::connect(&scene.world.service).await;
+    assert_eq!(scene.answered().await, before, "after a start on the full disk");
+    scene.send_until_refused().await;
+    disk.free();
+    eprintln!("as before {:?} after there was room", scene.recovers().await);
+    scene.send(scene.uploads.fresh()).await.expect("uploads are taken again");
+    mapping::folded(&scene.world.service).await;
+    assert_eq!(scene.answered().await, before);
 }
 
 /// Catches: a service that stops for good because it could not open one more file.
