@@ -105,7 +105,7 @@ fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
     echofix(["tiles", "sync", &tiles, "--server", &service.grpc, "--json"]).json();
     let asked = ["localize", &csv, "--offline", &tiles, "--every-s", "3", "--json"];
     let offline = echofix(asked).json();
-    let alike = |fix: &serde_json::Value| {
+    let alike = |fix: &Value| {
         let of = |key: &str| fix[key].clone();
         ["time_us", "outcome", "latitude_deg", "longitude_deg", "yaw_rad", "protection_along_m"].map(of)
     };
