@@ -11,20 +11,23 @@ use echofix_core::time::day_of;
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::checkpoint::Checkpoint;
-use super::context::StoreContext;
-use super::data_dir::DataDir;
-use super::entry::{self, Action, Control, RecordKind, RecordMeta};
-use super::fold::unreadable;
-use super::fold_worker::{self, FoldWorker};
-use super::generation::Generation;
-use super::index::{JournalIndex, Reserved};
-use super::journal::{Journal, Written};
-use super::manifest::{Found, Manifest};
-use super::{
-    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options, QuarantinedRecord,
-    Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, io_error,
+use crate::store::api::{
+    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, QuarantinedRecord, Receipt,
+    Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
 };
+use crate::store::local::data_dir::DataDir;
+use crate::store::log::entry::{self, Action, Control, RecordKind, RecordMeta};
+use crate::store::log::index::{JournalIndex, Reserved};
+use crate::store::log::journal::{Journal, Written};
+use crate::store::map::build;
+use crate::store::map::checkpoint::Checkpoint;
+use crate::store::map::context::StoreContext;
+use crate::store::map::fold::unreadable;
+use crate::store::map::fold_worker::{self, FoldWorker};
+use crate::store::map::generation::Generation;
+use crate::store::map::manifest::{Found, Manifest};
+use crate::store::operations::{backup, history, region, verify};
+use crate::store::options::Options;
 
 /// Journal and tiles on local disks. Dropping it finishes what is being written.
 pub struct EmbeddedStore {
@@ -294,7 +297,7 @@ impl Operations for EmbeddedStore {
 
     fn rollback(&self, epoch: u64) -> Result<u64, Error> {
         let _deciding = self.shared.decide();
-        self.in_journal(epoch)?;
+        history::in_journal(&self.shared, epoch)?;
         self.control(Action::Rollback(epoch))
     }
 
@@ -312,40 +315,27 @@ impl Operations for EmbeddedStore {
     }
 
     fn history(&self, limit: usize) -> Vec<HistoryEvent> {
-        self.events(limit)
+        history::events(&self.shared, limit)
     }
 
     fn at(&self, epoch: u64) -> Result<Snapshot, Error> {
-        self.snapshot(epoch)
+        history::snapshot(&self.shared, epoch)
     }
 
     fn export(&self, region: &Region, out: &mut dyn Write) -> Result<u64, Error> {
-        self.export_region(region, out)
+        region::export(&self.shared, region, out)
     }
 
     fn import(&self, file: &mut dyn Read) -> Result<Imported, Error> {
-        self.import_region(file)
+        region::import(&self.shared, file)
     }
 
     fn backup(&self, out: &mut dyn Write) -> Result<u64, Error> {
-        self.write_backup(out)
+        backup::write(&self.shared, out)
     }
 
     fn verify(&self, replay: bool) -> Result<Verified, Error> {
-        self.verified(replay)
-    }
-}
-
-impl EmbeddedStore {
-    /// Is this the epoch of a map that can be had?
-    pub(super) fn in_journal(&self, epoch: u64) -> Result<(), Error> {
-        let (oldest, newest) =
-            (self.shared.index.compacted().max(self.shared.index.before()), self.shared.index.newest());
-        if (oldest..=newest).contains(&epoch) {
-            return Ok(());
-        }
-        let reason = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
-        Err(Error::Unknown(reason))
+        verify::verified(&self.shared, replay)
     }
 }
 

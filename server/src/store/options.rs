@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::{Policy, StoreClock};
+use crate::store::api::StoreClock;
+use crate::store::map::policy::Policy;
 
-/// Where and how an [`super::EmbeddedStore`] stores its data.
+/// Where and how an [`crate::store::embedded::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The data directory; made if missing.

@@ -6,11 +6,13 @@ use std::time::{Duration, Instant};
 
 use echofix_core::datum::Offset;
 use echofix_core::evidence::Cell;
-use echofix_core::tile::{self, Ledger};
+use echofix_core::geo::TileId;
+use echofix_core::tile::{self, Ledger, Tile};
 use proptest::prelude::*;
+use uuid::Uuid;
 
-use super::testing::{some_uploads, uploads};
 use super::*;
+use crate::store::testing::{some_uploads, uploads};
 
 mod compacting;
 mod controls;
@@ -219,7 +221,7 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let tiles = tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
+    let tiles = map::tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
     let result = work(tiles.tree());
     tiles.flush().unwrap();
     result

@@ -1,8 +1,8 @@
 //! Compacting: the journal's head becomes the checkpoint.
 
-use super::super::build::BuildStep;
 use super::controls::{by_cars, bytes, copy, never_had};
 use super::*;
+use crate::store::map::build::BuildStep;
 
 /// Commits uploads as if it were a day.
 fn commit_on(store: &EmbeddedStore, day: u16, uploads: &[UploadRecord]) {

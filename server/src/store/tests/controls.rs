@@ -1,7 +1,7 @@
 //! Revocations and rollbacks, against stores that never had what was taken back.
 
-use super::super::build::BuildStep;
 use super::*;
+use crate::store::map::build::BuildStep;
 
 /// Tiles by their bytes.
 type Bare = BTreeMap<TileId, Vec<u8>>;

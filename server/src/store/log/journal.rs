@@ -1,0 +1,336 @@
+//! The journal: append-only, checksummed segment files. What [`Journal::append`] returns for is on
+//! disk.
+
+use std::fs::{self, File};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use tracing::Span;
+use uuid::Uuid;
+
+use super::entry::RecordMeta;
+use super::faults::{Fault, fault};
+use super::medium::LogSegment;
+use super::writer::{Append, JournalWriter};
+use super::{medium, recover, segment, writer};
+use crate::store::api::{Error, io_error};
+use crate::store::local::fence::Fence;
+
+/// Where a record lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::store) struct RecordPosition {
+    /// Number of the segment's first record.
+    pub(in crate::store) segment: u64,
+    /// Byte of the payload.
+    pub(in crate::store) offset: u32,
+    /// Bytes of the payload.
+    pub(in crate::store) length: u32,
+}
+
+/// A record that is on disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::store) struct Written {
+    /// 1 for the journal's first record.
+    pub(in crate::store) number: u64,
+    pub(in crate::store) at: RecordPosition,
+}
+
+/// A file to copy: its name in the archive, and how many bytes of it.
+pub(in crate::store) struct BackupPart {
+    pub(in crate::store) name: String,
+    pub(in crate::store) file: File,
+    pub(in crate::store) length: u64,
+}
+
+/// The open journal. Dropping it finishes what was being written.
+pub(in crate::store) struct Journal {
+    dir: PathBuf,
+    sender: Option<Mutex<Sender<Append>>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+/// The journal as it was found on disk.
+pub(in crate::store) struct RecoveredJournal {
+    id: Uuid,
+    next: u64,
+    /// The newest segment, if it holds no record.
+    empty: Option<LogSegment>,
+}
+
+impl RecoveredJournal {
+    /// The journal's own name, by which tiles that were folded from it are recognised.
+    pub(in crate::store) fn id(&self) -> Uuid {
+        self.id
+    }
+
+    /// Number of the last record; of the one before the first where there is none.
+    pub(in crate::store) fn end(&self) -> u64 {
+        self.next - 1
+    }
+}
+
+impl Journal {
+    /// Reads and checks every record, oldest first, and cuts a torn write off the newest segment.
+    ///
+    /// # Errors
+    /// When the disk refuses, or a record that had been on disk is damaged or missing.
+    pub(in crate::store) fn recover(
+        dir: &Path,
+        mut visit: impl FnMut(Written, &[u8]) -> Result<(), Error>,
+    ) -> Result<RecoveredJournal, Error> {
+        let mut firsts = segments(dir)?;
+        drop_unfinished(dir, &mut firsts)?;
+        let Some(&newest) = firsts.last() else {
+            let id = Uuid::now_v7();
+            let empty = Some(LogSegment::create(dir, id, 1, || Ok(()))?);
+            return Ok(RecoveredJournal { id, next: 1, empty });
+        };
+        // Older ones were compacted: whether something covers them, the store knows.
+        let (mut id, mut next, mut length) = (None, firsts[0], 0);
+        let ends = firsts.iter().skip(1).copied().map(Some).chain([None]);
+        for (first, end) in firsts.iter().copied().zip(ends) {
+            let path = segment::path(dir, first);
+            let bytes = fs::read(&path).map_err(io_error("reading a journal segment"))?;
+            let header = segment::parse_header(&bytes).filter(|(_, named)| *named == first);
+            let (journal, _) = header.ok_or_else(|| damaged(&path, 0, "its header is not sound"))?;
+            if first != next || id.is_some_and(|id| id != journal) {
+                return Err(damaged(&path, 0, "it does not continue the segment before it"));
+            }
+            id = Some(journal);
+            let mut result = Ok(());
+            let sound = recover::walk(&bytes, first, end, |offset, record| {
+                let offset = (offset + segment::RECORD_HEADER) as u32;
+                let at = RecordPosition { segment: first, offset, length: record.payload.len() as u32 };
+                if result.is_ok() {
+                    result = visit(Written { number: record.number, at }, record.payload);
+                }
+            })
+            .map_err(|damage| damaged(&path, damage.at, damage.reason))?;
+            result?;
+            if sound.length < bytes.len() {
+                let left = bytes.len() - sound.length;
+                tracing::warn!(segment = %path.display(), left, "left out a write that was never acknowledged");
+            }
+            (next, length) = (sound.next, sound.length);
+        }
+        let id = id.unwrap_or_default();
+        medium::settle(dir, newest, length as u64)?;
+        // On a full disk it stays as it is; the next record is refused then, and begins another.
+        let empty = (newest == next).then(|| LogSegment::replace(dir, id, newest).ok()).flatten();
+        Ok(RecoveredJournal { id, next, empty })
+    }
+
+    /// Is there any segment?
+    pub(in crate::store) fn has_segments(dir: &Path) -> Result<bool, Error> {
+        Ok(dir.is_dir() && !segments(dir)?.is_empty())
+    }
+
+    /// Does a journal hold anything beyond its headers?
+    pub(in crate::store) fn holds_records(dir: &Path) -> Result<bool, Error> {
+        for first in segments(dir)? {
+            let file = fs::metadata(segment::path(dir, first));
+            if file.map_err(io_error("reading a journal segment"))?.len() > segment::HEADER as u64 {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Starts writing, into a segment of its own: the ones that were found stay as they are. `deliver` gets every
+    /// record in order, once it is on disk and before its append returns; `refusing` is told when the disk begins to refuse
+    /// writes, and when it takes them again.
+    pub(in crate::store) fn start(
+        dir: &Path,
+        found: RecoveredJournal,
+        (segment_bytes, fence): (u64, Fence),
+        deliver: impl FnMut(RecordMeta, Written) + Send + 'static,
+        refusing: impl FnMut(bool) + Send + 'static,
+    ) -> Result<Self, Error> {
+        let (sender, receiver) = mpsc::channel();
+        let (segments, id) = (dir.to_owned(), found.id);
+        let of_segments = fence.clone();
+        let create = move |first| LogSegment::create(&segments, id, first, || of_segments.check());
+        let disk = writer::Disk { create: Box::new(create), still_ours: Box::new(move || fence.check()) };
+        let found = (found.next, found.empty);
+        let writer = JournalWriter::new(disk, found, segment_bytes, (Box::new(deliver), Box::new(refusing)));
+        let thread = std::thread::Builder::new().name("journal".to_owned());
+        let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
+        Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
+    }
+
+    /// Writes a record and returns once it is on disk. No segment holds records of two days, so that
+    /// whole segments grow old; a record may also ask for a `fresh` one.
+    ///
+    /// # Errors
+    /// When that is not certain.
+    pub(in crate::store) fn append(
+        &self,
+        meta: RecordMeta,
+        fresh: bool,
+        payload: Vec<u8>,
+    ) -> Result<Written, Error> {
+        let outcome = self.send(meta, fresh, payload)?;
+        if fault() == Some(Fault::AckBeforeWrite) {
+            let nowhere = RecordPosition { segment: 0, offset: 0, length: 0 };
+            return Ok(Written { number: 0, at: nowhere });
+        }
+        outcome.recv().map_err(|_| gone())?
+    }
+
+    /// Writes records in order, with as few syncs as they need, and returns once all are on disk.
+    ///
+    /// # Errors
+    /// When that is not certain for any of them.
+    pub(in crate::store) fn append_all(
+        &self,
+        records: Vec<(RecordMeta, Vec<u8>)>,
+    ) -> Result<Vec<Written>, Error> {
+        let sent = records.into_iter().map(|(meta, payload)| self.send(meta, false, payload));
+        let outcomes = sent.collect::<Result<Vec<_>, _>>()?;
+        outcomes.into_iter().map(|outcome| outcome.recv().map_err(|_| gone())?).collect()
+    }
+
+    fn send(
+        &self,
+        meta: RecordMeta,
+        fresh: bool,
+        payload: Vec<u8>,
+    ) -> Result<Receiver<Result<Written, Error>>, Error> {
+        let (done, outcome) = mpsc::sync_channel(1);
+        let sender = self.sender.as_ref().ok_or_else(gone)?;
+        let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let span = Span::current();
+        sender.send(Append { meta, fresh, payload, span, done }).map_err(|_| gone())?;
+        Ok(outcome)
+    }
+
+    /// Deletes the segments all of whose records have numbers up to `last`, oldest first, but never
+    /// the newest.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(in crate::store) fn delete_up_to(&self, last: u64) -> Result<(), Error> {
+        let firsts = segments(&self.dir)?;
+        let covered = firsts.iter().zip(firsts.iter().skip(1)).filter(|(_, next)| **next <= last + 1);
+        for (first, _) in covered {
+            fs::remove_file(segment::path(&self.dir, *first))
+                .map_err(io_error("deleting a compacted segment"))?;
+        }
+        File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
+    }
+
+    /// The journal's files up to a record that is on disk; all of them, as they are, without one.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(in crate::store) fn parts(&self, last: Option<RecordPosition>) -> Result<Vec<BackupPart>, Error> {
+        let opening = "opening a journal segment";
+        let mut parts = Vec::new();
+        for first in segments(&self.dir)? {
+            let path = segment::path(&self.dir, first);
+            let file = File::open(&path).map_err(io_error(opening))?;
+            let whole = file.metadata().map_err(io_error(opening))?.len();
+            let length = match last {
+                Some(last) if first > last.segment => continue,
+                Some(last) if first == last.segment => u64::from(last.offset) + u64::from(last.length),
+                _ => whole,
+            };
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+            parts.push(BackupPart { name: format!("journal/{}", name.unwrap_or_default()), file, length });
+        }
+        Ok(parts)
+    }
+
+    /// Payloads of records, read with as few opened files as their order allows.
+    pub(in crate::store) fn reader(&self) -> RecordReader<'_> {
+        RecordReader { dir: &self.dir, open: None }
+    }
+}
+
+impl Drop for Journal {
+    fn drop(&mut self) {
+        self.sender = None;
+        if let Some(writer) = self.writer.take() {
+            // It logged its own end.
+            let _ = writer.join();
+        }
+    }
+}
+
+/// Reads records.
+pub(in crate::store) struct RecordReader<'a> {
+    dir: &'a Path,
+    open: Option<(u64, File)>,
+}
+
+impl RecordReader<'_> {
+    /// The payload of a record, checked against its checksum.
+    ///
+    /// # Errors
+    /// When the disk refuses or the record is damaged.
+    pub(in crate::store) fn payload(&mut self, at: RecordPosition) -> Result<Vec<u8>, Error> {
+        let path = segment::path(self.dir, at.segment);
+        let file = match self.open.take() {
+            Some((segment, file)) if segment == at.segment => file,
+            _ => File::open(&path).map_err(io_error("opening a journal segment"))?,
+        };
+        let mut bytes = vec![0; segment::RECORD_HEADER + at.length as usize];
+        let start = u64::from(at.offset) - segment::RECORD_HEADER as u64;
+        file.read_exact_at(&mut bytes, start).map_err(io_error("reading a journal record"))?;
+        self.open = Some((at.segment, file));
+        if segment::parse_record(&bytes).is_none_or(|record| record.payload.len() != at.length as usize) {
+            return Err(damaged(&path, start as usize, "a record does not match its checksum"));
+        }
+        bytes.drain(..segment::RECORD_HEADER);
+        Ok(bytes)
+    }
+}
+
+/// First numbers of the segments in a directory, in order.
+fn segments(dir: &Path) -> Result<Vec<u64>, Error> {
+    let mut firsts = Vec::new();
+    for entry in fs::read_dir(dir).map_err(io_error("listing the journal"))? {
+        let path = entry.map_err(io_error("listing the journal"))?.path();
+        if let Some(first) = segment::first_of(&path).filter(|_| path.is_file()) {
+            firsts.push(first);
+        } else {
+            tracing::warn!(file = %path.display(), "ignoring a stray file in the journal");
+        }
+    }
+    firsts.sort_unstable();
+    Ok(firsts)
+}
+
+/// Removes the newest segment when the crash came before its header was on disk: it never held a
+/// record, because none is written before the header is synced.
+fn drop_unfinished(dir: &Path, firsts: &mut Vec<u64>) -> Result<(), Error> {
+    let Some(&newest) = firsts.last() else { return Ok(()) };
+    let path = segment::path(dir, newest);
+    let bytes = fs::metadata(&path).map_err(io_error("reading a journal segment"))?.len();
+    if bytes > segment::HEADER as u64 {
+        return Ok(());
+    }
+    let header = fs::read(&path).map_err(io_error("reading a journal segment"))?;
+    if segment::parse_header(&header).is_none() {
+        fs::remove_file(&path).map_err(io_error("removing an unfinished journal segment"))?;
+        firsts.pop();
+    }
+    Ok(())
+}
+
+fn gone() -> Error {
+    Error::Stopped("the journal's thread has ended".to_owned())
+}
+
+fn damaged(path: &Path, at: usize, reason: &str) -> Error {
+    Error::Damaged {
+        what: format!("journal segment {} at byte {at}", path.display()),
+        reason: reason.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,380 @@
+//! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
+//! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
+//! has from another time, are noticed by it; then all are folded again.
+//!
+//! ```text
+//! key    see [`crate::store::map::key`]
+//! value  in pieces, see [`crate::store::map::pieces`]: CRC-32C of key and the rest (4) | version (8) | cells served (4) | newest day (2) | tile length (4) | tile | ledger
+//! a quarantined upload: see [`crate::store::map::quarantine`]
+//! state  CRC-32C of the rest (4) | number of the last record folded (8) | digest (8)
+//! ```
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockWriteGuard};
+
+use echofix_core::geo::TileId;
+use echofix_core::tile::{self, Tile};
+use sled::IVec;
+use uuid::Uuid;
+
+use super::attempt::{TilesError, caught};
+use super::catalog::Catalog;
+use super::key::key;
+use super::write_buffer::{Folded, Source};
+use super::{pieces, quarantine};
+use crate::store::api::QuarantinedRecord;
+use crate::store::api::{Error, TileInfo};
+use crate::store::checksum::{SUM, seal, sealed};
+use crate::store::local::sled_instance::Sled;
+
+/// Where the journal the tiles were folded from is named.
+const JOURNAL: &[u8] = b"journal";
+/// Where it says how far the tiles are folded.
+const STATE: &[u8] = b"state";
+/// Bytes of a value between its checksum and the tile.
+const HEAD: usize = 18;
+
+/// The tile store. Once sled refused a write it is broken: nothing more is written, and what is read is as it was before.
+pub(in crate::store) struct TileStore {
+    /// Apart, because after an error it must not be dropped: see [`Sled::drop`].
+    sled: Sled,
+    /// Why nothing is written any more.
+    broken: OnceLock<String>,
+    /// Values as they were before a write that failed, of which sled may hold any part; `None` for what was not there.
+    before: RwLock<HashMap<TileId, Option<Vec<u8>>>>,
+    /// Held by who changes tiles, and by who must see them all of one time.
+    changing: Mutex<()>,
+    /// Held for writing while a batch is applied: no reader sees half of a tile's pieces.
+    whole: RwLock<()>,
+}
+
+impl TileStore {
+    pub(in crate::store) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
+        Ok(Self {
+            sled: Sled::open(dir, cache_bytes)?,
+            broken: OnceLock::new(),
+            before: RwLock::default(),
+            changing: Mutex::default(),
+            whole: RwLock::default(),
+        })
+    }
+
+    /// The journal these tiles were folded from; `None` in a new store.
+    pub(in crate::store) fn journal(&self) -> Result<Option<Uuid>, Error> {
+        Ok(self.sled.db().get(JOURNAL)?.map(|bytes| Uuid::from_slice(&bytes).unwrap_or_default()))
+    }
+
+    pub(super) fn set_journal(&self, journal: Uuid) -> Result<(), Error> {
+        self.noticed(self.sled.db().insert(JOURNAL, &journal.as_bytes()[..]))?;
+        Ok(())
+    }
+
+    /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
+    pub(in crate::store) fn check(&self) -> Result<(Catalog, u64), TilesError> {
+        let _unchanged = self.changing();
+        let mut catalog = Catalog::default();
+        let mut after = IVec::default();
+        while let Some((key, _)) = self.tree().get_gt(&after).map_err(Error::from)? {
+            after = if let Some(id) = pieces::tile_of(&key) {
+                let value = self.value(id)?.unwrap_or_default();
+                catalog.put(parse(id, &value)?.info);
+                IVec::from(&pieces::last_key(id)[..])
+            } else if key == STATE || quarantine::is_key(&key) {
+                key
+            } else {
+                return Err(TilesError::UnknownKey(key.to_vec()));
+            };
+        }
+        match self.tree().get(STATE).map_err(Error::from)? {
+            None => Err(TilesError::NoState),
+            Some(state) => match parse_state(&state) {
+                Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
+                Some(_) => Err(TilesError::Incomplete),
+                None => Err(TilesError::StateDamaged),
+            },
+        }
+    }
+
+    /// Version and evidence of a tile.
+    pub(in crate::store) fn stored(&self, id: TileId) -> Result<Option<(u64, Tile)>, Error> {
+        let Some(value) = self.value(id)? else { return Ok(None) };
+        let value = parse(id, &value)?;
+        let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
+        Ok(Some((value.info.version, tile)))
+    }
+
+    /// Version and encoded bytes of a tile.
+    pub(in crate::store) fn raw(&self, id: TileId) -> Result<Option<(u64, Vec<u8>)>, Error> {
+        let Some(value) = self.value(id)? else { return Ok(None) };
+        let value = parse(id, &value)?;
+        Ok(Some((value.info.version, value.tile.to_vec())))
+    }
+
+    /// Puts tiles, the uploads that were quarantined, and how far the tiles go, all or none, and brings them to disk.
+    /// After a failure the store is [broken](Self::broken), and shows what it showed before.
+    pub(in crate::store) fn put_all(
+        &self,
+        values: Vec<TileValue>,
+        quarantined: &[QuarantinedRecord],
+        folded: u64,
+        digest: u64,
+    ) -> Result<(), Error> {
+        let _changing = self.changing();
+        if let Some(reason) = self.broken() {
+            return Err(Error::Broken(reason.to_owned()));
+        }
+        let mut batch = sled::Batch::default();
+        let mut before = HashMap::with_capacity(values.len());
+        for TileValue { bytes, info } in values {
+            before.insert(info.id, self.value(info.id)?);
+            pieces::put(self.tree(), &mut batch, info.id, &bytes)?;
+        }
+        for quarantined in quarantined {
+            batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
+        }
+        batch.insert(STATE, state(folded, digest));
+        let applied = {
+            // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
+            let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
+            // Shown until all is on disk, so that nobody sees what a failure takes back.
+            *self.before_mut() = before;
+            caught(|| Ok(self.tree().apply_batch(batch)?))
+        };
+        let flushed = applied.and_then(|()| caught(|| Ok(self.sled.db().flush().map(drop)?)));
+        if let Err(error) = flushed {
+            let _ = self.broken.set(error.to_string());
+            self.sled.give_up();
+            return Err(Error::Broken(error.to_string()));
+        }
+        self.before_mut().clear();
+        Ok(())
+    }
+
+    /// Why nothing is written any more; `None` while all is well.
+    pub(in crate::store) fn broken(&self) -> Option<&str> {
+        self.broken.get().map(String::as_str)
+    }
+
+    pub(in crate::store) fn tree(&self) -> &sled::Tree {
+        self.sled.tree()
+    }
+
+    /// The values of all tiles, as they are to be read, for a copy.
+    pub(in crate::store) fn copied(&self, id: TileId) -> Result<Option<TileValue>, Error> {
+        let Some(bytes) = self.value(id)? else { return Ok(None) };
+        let info = parse(id, &bytes)?.info;
+        Ok(Some(TileValue { bytes, info }))
+    }
+
+    /// Remembers that sled failed.
+    fn noticed<T>(&self, outcome: Result<T, sled::Error>) -> Result<T, Error> {
+        outcome.map_err(|error| {
+            let _ = self.broken.set(error.to_string());
+            self.sled.give_up();
+            Error::from(error)
+        })
+    }
+
+    /// The quarantined uploads, oldest first.
+    pub(in crate::store) fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
+        let damaged = || Error::Damaged {
+            what: "a note of a quarantined upload".to_owned(),
+            reason: "its checksum does not match".to_owned(),
+        };
+        let notes = self.tree().scan_prefix(quarantine::PREFIX).map(|entry| {
+            let (key, value) = entry?;
+            quarantine::decode(&key, &value).ok_or_else(damaged)
+        });
+        notes.collect()
+    }
+
+    /// Asks sled to bring everything to disk.
+    pub(in crate::store) fn flush(&self) -> Result<(), Error> {
+        self.noticed(self.sled.db().flush())?;
+        Ok(())
+    }
+
+    fn value(&self, id: TileId) -> Result<Option<Vec<u8>>, Error> {
+        let _whole = self.whole.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(before) = self.before.read().unwrap_or_else(PoisonError::into_inner).get(&id) {
+            return Ok(before.clone());
+        }
+        pieces::get(self.tree(), id)
+    }
+
+    fn before_mut(&self) -> RwLockWriteGuard<'_, HashMap<TileId, Option<Vec<u8>>>> {
+        self.before.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn changing(&self) -> MutexGuard<'_, ()> {
+        self.changing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Source for TileStore {
+    fn folded(&self, id: TileId) -> Result<Folded, Error> {
+        let Some(value) = self.value(id)? else { return Ok(Folded::default()) };
+        let value = parse(id, &value)?;
+        let tile = tile::decode(value.tile).map_err(|e| damaged(id, &e))?;
+        let ledger = tile::decode_ledger(value.ledger).map_err(|e| damaged(id, &e))?;
+        Ok(Folded { version: value.info.version, tile, ledger })
+    }
+}
+
+/// A tile in the bytes it is stored in.
+pub(in crate::store) struct TileValue {
+    bytes: Vec<u8>,
+    pub(in crate::store) info: TileInfo,
+}
+
+impl TileValue {
+    /// Bytes that are stored.
+    pub(in crate::store) fn len(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
+    /// Of its cells those count that are served when `publish` contributors are asked for.
+    pub(in crate::store) fn new(id: TileId, folded: &Folded, publish: u8) -> Self {
+        let encoded = tile::encode(&folded.tile);
+        let info = TileInfo {
+            id,
+            version: folded.version,
+            cells: folded.tile.supported(publish).count() as u32,
+            newest_day: folded.tile.newest_day(),
+            bytes: encoded.len() as u32,
+        };
+        let mut bytes = vec![0; SUM];
+        bytes.extend_from_slice(&info.version.to_le_bytes());
+        bytes.extend_from_slice(&info.cells.to_le_bytes());
+        bytes.extend_from_slice(&info.newest_day.to_le_bytes());
+        bytes.extend_from_slice(&info.bytes.to_le_bytes());
+        bytes.extend_from_slice(&encoded);
+        bytes.extend_from_slice(&tile::encode_ledger(&folded.ledger));
+        seal(&mut bytes, &key(id));
+        Self { bytes, info }
+    }
+}
+
+fn state(folded: u64, digest: u64) -> Vec<u8> {
+    let mut bytes = vec![0; SUM];
+    bytes.extend_from_slice(&folded.to_le_bytes());
+    bytes.extend_from_slice(&digest.to_le_bytes());
+    seal(&mut bytes, STATE);
+    bytes
+}
+
+fn parse_state(bytes: &[u8]) -> Option<(u64, u64)> {
+    let rest: &[u8; 16] = sealed(bytes, STATE)?.try_into().ok()?;
+    let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| rest[at + i]));
+    Some((word(0), word(8)))
+}
+
+/// A value whose checksum matches.
+struct Parsed<'a> {
+    info: TileInfo,
+    tile: &'a [u8],
+    ledger: &'a [u8],
+}
+
+fn parse(id: TileId, value: &[u8]) -> Result<Parsed<'_>, Error> {
+    parse_sound(id, value).ok_or_else(|| damaged(id, &"its checksum does not match"))
+}
+
+fn parse_sound(id: TileId, value: &[u8]) -> Option<Parsed<'_>> {
+    let (head, body) = sealed(value, &key(id))?.split_at_checked(HEAD)?;
+    let info = TileInfo {
+        id,
+        version: u64::from_le_bytes(head[..8].try_into().ok()?),
+        cells: u32::from_le_bytes(head[8..12].try_into().ok()?),
+        newest_day: u16::from_le_bytes(head[12..14].try_into().ok()?),
+        bytes: u32::from_le_bytes(head[14..18].try_into().ok()?),
+    };
+    let (tile, ledger) = body.split_at_checked(info.bytes as usize)?;
+    Some(Parsed { info, tile, ledger })
+}
+
+fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
+    Error::Damaged { what: format!("tile {id}"), reason: reason.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::map::key::stamp;
+    use echofix_core::evidence::{CellHits, Pass, TileEvidence};
+    use echofix_core::geo::Zone;
+    use proptest::prelude::*;
+
+    fn id(x: i32) -> TileId {
+        TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x }
+    }
+
+    /// A tile in a version, of so many cells.
+    fn value(x: i32, version: u64, cells: u32) -> TileValue {
+        let mut folded = Folded { version, ..Folded::default() };
+        // Nothing that could be compressed away.
+        let noise = |at: u32| at.wrapping_mul(0x9e37_79b9) >> 8;
+        let hit = |at: u32| CellHits {
+            index: at * 13,
+            hits: 99,
+            offset_sum: [noise(at) % 25_000, noise(!at) % 25_000],
+        };
+        let evidence = TileEvidence::of_hits((0..cells).map(hit).collect());
+        folded.tile.fold(&mut folded.ledger, Pass { day: 20_000, contributor: 7 }, &evidence);
+        TileValue::new(id(x), &folded, 1)
+    }
+
+    proptest! {
+        // Breaks it: leaving out the end of the value from the checksum, or skipping pieces that are not there.
+        #[test]
+        fn a_changed_lost_or_cut_piece_is_noticed(
+            at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
+        ) {
+            let dir = tempfile::tempdir().unwrap();
+            let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
+            let value = value(-1, 3, 8000);
+            let digest = stamp(&value.info);
+            tiles.put_all(vec![value], &[], 3, digest).unwrap();
+            prop_assert_eq!(tiles.check().unwrap().1, 3);
+            let pieces: Vec<_> = tiles.tree().scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
+            prop_assert!(pieces.len() > 2);
+            let key = if of_state { IVec::from(STATE) } else { pieces[piece.index(pieces.len())].clone() };
+            let good = tiles.tree().get(&key).unwrap().unwrap();
+            let at = at.index(good.len());
+            let mut bad = good.to_vec();
+            bad[at] ^= 1_u8 << bit;
+            for bad in [Some(&bad[..]), Some(&good[..at]), None] {
+                match bad {
+                    Some(bad) => drop(tiles.tree().insert(&key, bad).unwrap()),
+                    None => drop(tiles.tree().remove(&key).unwrap()),
+                }
+                prop_assert!(tiles.check().is_err());
+                let damaged = |error| matches!(error, Some(Error::Damaged { .. }));
+                prop_assert!(of_state || damaged(tiles.stored(id(-1)).err()));
+                prop_assert!(of_state || damaged(tiles.folded(id(-1)).err()));
+            }
+            tiles.tree().insert(&key, good).unwrap();
+            prop_assert!(tiles.check().is_ok());
+        }
+    }
+
+    #[test]
+    fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
+        let dir = tempfile::tempdir().unwrap();
+        let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
+        let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
+        tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
+        assert!(tiles.check().is_ok());
+        let (at, piece) = tiles.tree().scan_prefix(key(id(1))).next().unwrap().unwrap();
+        tiles.tree().remove(&at).unwrap();
+        assert!(tiles.check().is_err());
+        tiles.tree().insert(&at, piece).unwrap();
+        assert!(tiles.check().is_ok());
+        tiles.tree().insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
+        assert!(tiles.check().is_err(), "a tile as it was stored before there were pieces");
+        tiles.tree().remove(key(id(1))).unwrap();
+        tiles.tree().insert(&at, value(1, 2, 1).bytes).unwrap();
+        assert!(tiles.check().is_err());
+    }
+}
