@@ -4,27 +4,41 @@
 //! from the journal in its order, and can be folded again from nothing. The embedded default has
 //! the journal in checksummed segment files and the tiles in sled.
 //!
-//! The layers; an arrow points to what is used:
+//! The layers. An arrow points to what is used, and none points back up; each layer may also use what its arrows lead to:
 //!
 //! ```text
-//! embedded ──▶ operations ──▶ map ──▶ log ──▶ api
-//!     │                         │       │      ▲
-//!     └─────────────────────────┴───────┴▶ local
+//!   embedded ──▶ options
+//!    │      │
+//!    ▼      │
+//!  operations
+//!    │      │
+//!    ▼      │
+//!   map     │
+//!    │      │
+//!    ▼      ▼
+//!   log   local
+//!    │      │
+//!    ▼      ▼
+//!   backend, checksum
+//!       │
+//!       ▼
+//!      api
 //! ```
 //!
 //! - [`api`]: [`MapStore`], [`Operations`], and their values: what every storage engine offers.
+//! - [`backend`]: what the store asks of the place where it is stored, in small traits. Its tests are rules that every
+//!   backend keeps, one in memory, and one around any other that lets it fail.
 //! - [`log`]: the journal, what its records are, and which of them count.
 //! - [`map`]: tiles, folded from the journal: generations, vetting, manifest, checkpoint.
 //! - [`operations`]: the map's past, regions, backups, verification.
-//! - [`local`]: the data directory, files and sled.
+//! - [`local`]: the backend of one machine: a data directory, with sled in it. No other layer knows a path.
 //! - [`EmbeddedStore`]: puts them together, as its [`Options`] say.
-//!
-//! `checksum` is below all of them: frames that notice damage.
 //!
 //! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
 //! the controls among them exclude. Generations of tiles are that function's values, stored.
 
 mod api;
+mod backend;
 mod checksum;
 mod embedded;
 mod local;

@@ -1,9 +1,14 @@
 //! How the store of one machine is set up.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use crate::store::api::StoreClock;
+use crate::store::map::context::Settings;
 use crate::store::map::policy::Policy;
+
+/// How long folding rests after an error.
+const RETRY: Duration = Duration::from_secs(2);
 
 /// Where and how an [`crate::store::embedded::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
@@ -35,6 +40,16 @@ impl Options {
             write_buffer_tiles: 2048,
             policy,
             clock: StoreClock::default(),
+        }
+    }
+
+    pub(super) fn settings(&self) -> Settings {
+        Settings {
+            segment_bytes: self.segment_bytes,
+            write_buffer_tiles: self.write_buffer_tiles,
+            policy: self.policy,
+            clock: self.clock.clone(),
+            retry: RETRY,
         }
     }
 }

@@ -11,12 +11,15 @@ use echofix_core::tile::{self, Ledger, Tile};
 use proptest::prelude::*;
 use uuid::Uuid;
 
+use super::backend::faulty::{Call, Fault, Faults};
+use super::backend::tables::TableUse;
 use super::*;
 use crate::store::testing::{some_uploads, uploads};
 
 mod compacting;
 mod controls;
 mod copies;
+mod faults;
 mod folding;
 mod past;
 
@@ -37,6 +40,21 @@ fn options(dir: &Path) -> Options {
 
 fn open(dir: &Path) -> EmbeddedStore {
     EmbeddedStore::open(&options(dir)).unwrap()
+}
+
+/// A store in a directory whose calls may fail.
+fn open_failing(dir: &Path, faults: &Faults) -> EmbeddedStore {
+    let options = options(dir);
+    let backend = local::open(dir, options.cache_bytes).unwrap();
+    EmbeddedStore::over(faults.around(backend), options.settings()).unwrap()
+}
+
+/// Waits until the making of a generation stopped, or until only what comes after it did.
+fn wait_for_fault(store: &EmbeddedStore, faults: &Faults) {
+    wait_for(store, |p| {
+        let made = p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
+        faults.injected() > 0 && (p.state == MapStatus::Stalled || made)
+    });
 }
 
 fn commit_all(store: &EmbeddedStore, uploads: &[UploadRecord]) {
@@ -221,9 +239,9 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let tiles = map::tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
+    let tiles = local::sled_instance::Sled::open(&tiles_dir(dir), 1 << 20).unwrap();
     let result = work(tiles.tree());
-    tiles.flush().unwrap();
+    tiles.db().flush().unwrap();
     result
 }
 

@@ -25,9 +25,10 @@ use super::contributor_key::ContributorKey;
 use super::fence::Fence;
 use super::lock::Locks;
 use super::marker::marked;
-use super::{files, traces};
+use super::{files, segments, traces};
 use crate::store::api::{Error, io_error};
-use crate::store::log::journal::Journal;
+use crate::store::backend::owner::Pseudonyms;
+use crate::store::backend::tables::{TableId, TableUse};
 
 /// How the names of generations of tiles begin.
 pub(super) const TILES: &str = "tiles-";
@@ -37,7 +38,7 @@ const SCRATCH: &str = "scratch-";
 const SET_ASIDE: &str = "set-aside";
 
 /// A locked data directory.
-pub(in crate::store) struct DataDir {
+pub(super) struct DataDir {
     root: PathBuf,
     key: ContributorKey,
     fence: Fence,
@@ -52,12 +53,12 @@ impl DataDir {
         builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
         let mut locks = Locks::of(root)?;
         let journal = root.join("journal");
-        if !Journal::has_segments(&journal)? {
+        if !segments::any(&journal)? {
             traces::none(root, &journal)?;
             builder.create(&journal).map_err(at(&journal, creating))?;
         }
         locks.hold(&journal)?;
-        let key = ContributorKey::open(root, Journal::holds_records(&journal)?)?;
+        let key = ContributorKey::open(root, segments::holds_records(&journal)?)?;
         let fence = Fence::take(root)?;
         files::sync_dir(root).map_err(at(root, "syncing the data directory"))?;
         if let Some(parent) = root.parent().filter(|parent| !parent.as_os_str().is_empty()) {
@@ -70,7 +71,7 @@ impl DataDir {
         self.root.join("journal")
     }
 
-    pub(in crate::store) fn root(&self) -> &Path {
+    pub(super) fn root(&self) -> &Path {
         &self.root
     }
 
@@ -79,18 +80,17 @@ impl DataDir {
         &self.fence
     }
 
-    /// The directory of a generation of tiles.
-    pub(in crate::store) fn generation(&self, number: u64) -> PathBuf {
-        self.root.join(format!("{TILES}{number}"))
-    }
-
-    /// Where tiles are folded that are not served.
-    pub(in crate::store) fn scratch(&self, number: u64) -> PathBuf {
-        self.root.join(format!("{SCRATCH}{number}"))
+    /// The directory of a table.
+    pub(in crate::store) fn table(&self, id: TableId) -> PathBuf {
+        let prefix = match id.used {
+            TableUse::Served => TILES,
+            TableUse::Scratch => SCRATCH,
+        };
+        self.root.join(format!("{prefix}{}", id.number))
     }
 
     /// A number that is free: nothing on disk has a name with it, whoever made that.
-    pub(in crate::store) fn next_generation(&self) -> Result<u64, Error> {
+    pub(super) fn next_generation(&self) -> Result<u64, Error> {
         let names = files::names(&self.root)?;
         let number = |name: &String| {
             name.strip_prefix(TILES).or_else(|| name.strip_prefix(SCRATCH))?.parse::<u64>().ok()
@@ -147,20 +147,20 @@ impl DataDir {
         tracing::warn!(%name, to = %to.display(), why, "set aside; look at it, then delete it or restore from it");
         Ok(())
     }
+}
 
-    /// SipHash-2-4 of a contributor's pseudonym under this directory's key.
-    pub(in crate::store) fn contributor(&self, pseudonym: &str) -> u64 {
+impl Pseudonyms for DataDir {
+    fn hash(&self, pseudonym: &str) -> u64 {
         self.key.hash(pseudonym)
     }
 
-    /// What is wrong with the key on disk.
-    pub(in crate::store) fn key_damage(&self) -> Vec<String> {
+    fn damage(&self) -> Vec<String> {
         self.key.damage(&self.root)
     }
 }
 
 /// Names the file in what is told of a failure.
-pub(super) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
+pub(in crate::store) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
     let path = path.display().to_string();
     move |error| io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
 }

@@ -35,18 +35,10 @@ impl Fence {
         let file = file.map_err(at(&path, "taking the data directory over"))?;
         Ok(Self(Arc::new(Mark { path, file })))
     }
+}
 
-    /// A fence that holds while a file is in its place, for tests of what looks at it.
-    #[cfg(test)]
-    pub(in crate::store) fn at(root: &Path) -> Self {
-        Self::take(root).expect("a test's directory can be written")
-    }
-
-    /// Is the directory still this server's?
-    ///
-    /// # Errors
-    /// When it is not, or that cannot be told.
-    pub(in crate::store) fn check(&self) -> Result<(), Error> {
+impl crate::store::backend::owner::Fence for Fence {
+    fn check(&self) -> Result<(), Error> {
         let looking = at(&self.0.path, "looking whether the data directory is still this server's");
         let ours = self.0.file.metadata().map_err(&looking)?;
         let same = match fs::metadata(&self.0.path) {

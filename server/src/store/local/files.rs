@@ -4,6 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::data_dir::at;
 use crate::store::api::Error;
@@ -13,7 +14,7 @@ const UNFINISHED: &str = ".echofix-unfinished";
 
 /// Writes a file that gets its name only when all of it is on disk; the name is on disk, too, when this
 /// returns.
-pub(in crate::store) fn put_file(
+pub(super) fn put_file(
     root: &Path,
     name: &str,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -48,21 +49,33 @@ pub(super) fn put_file_with(
 }
 
 /// A new file in place of the one of this name: whoever still has that one open writes into nothing.
-pub(in crate::store) fn replaced(dir: &Path, name: &str, content: &[u8]) -> io::Result<File> {
+pub(super) fn replaced(dir: &Path, name: &str, content: &[u8]) -> io::Result<File> {
     drop(put_file_with(dir, name, 0o600, |file| file.write_all(content))?);
     OpenOptions::new().append(true).open(dir.join(name))
 }
+
+/// Files that were begun.
+static WRITES: AtomicU64 = AtomicU64::new(0);
 
 /// A new file, whole and on disk, with its name; nothing may have that name.
 ///
 /// # Errors
 /// [`io::ErrorKind::AlreadyExists`] when something has it, which is left as it is.
-pub(in crate::store) fn put_new(dir: &Path, name: &str, content: &[u8]) -> io::Result<File> {
-    let unnamed = dir.join(format!("{name}{UNFINISHED}"));
+pub(super) fn put_new(
+    dir: &Path,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<File> {
+    // Asked first, so that nothing large is written in vain.
+    if dir.join(name).symlink_metadata().is_ok() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    // Who races for the name writes into a file of its own.
+    let unnamed = dir.join(format!("{name}.{}{UNFINISHED}", WRITES.fetch_add(1, Ordering::Relaxed)));
     let put = || {
-        let file = OpenOptions::new().create(true).write(true).truncate(true).mode(0o600).open(&unnamed)?;
+        let file = OpenOptions::new().create(true).truncate(true).write(true).mode(0o600).open(&unnamed)?;
         let mut file = BufWriter::new(file);
-        file.write_all(content)?;
+        write(&mut file)?;
         file.into_inner()?.sync_all()?;
         // Unlike a rename, a link takes nothing's place.
         fs::hard_link(&unnamed, dir.join(name))
@@ -72,6 +85,14 @@ pub(in crate::store) fn put_new(dir: &Path, name: &str, content: &[u8]) -> io::R
     outcome?;
     let opened = sync_dir(dir).and_then(|()| OpenOptions::new().append(true).open(dir.join(name)));
     opened.inspect_err(|_| _ = fs::remove_file(dir.join(name)))
+}
+
+/// As if what is gone already had been removed now.
+pub(super) fn gone(removed: io::Result<()>) -> io::Result<()> {
+    match removed {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        outcome => outcome,
+    }
 }
 
 /// Removes the files that were not finished.
@@ -85,11 +106,15 @@ pub(super) fn remove_unfinished(root: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-pub(in crate::store) fn names(root: &Path) -> Result<Vec<String>, Error> {
-    let listing = "listing the data directory";
+pub(super) fn names(root: &Path) -> Result<Vec<String>, Error> {
+    names_in(root).map_err(at(root, "listing the data directory"))
+}
+
+/// The names in a directory, in order.
+pub(super) fn names_in(root: &Path) -> io::Result<Vec<String>> {
     let mut names = Vec::new();
-    for entry in fs::read_dir(root).map_err(at(root, listing))? {
-        names.extend(entry.map_err(at(root, listing))?.file_name().into_string());
+    for entry in fs::read_dir(root)? {
+        names.extend(entry?.file_name().into_string());
     }
     names.sort_unstable();
     Ok(names)

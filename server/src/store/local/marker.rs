@@ -18,7 +18,7 @@ const NAME: &str = "made-from";
 const LENGTH: usize = 24;
 
 /// Marks a directory of tiles as this store's.
-pub(in crate::store) fn mark(dir: &Path, journal: Uuid) -> io::Result<()> {
+pub(super) fn mark(dir: &Path, journal: Uuid) -> io::Result<()> {
     let mut bytes = [0; LENGTH];
     bytes[..4].copy_from_slice(&MAGIC);
     bytes[8..].copy_from_slice(journal.as_bytes());

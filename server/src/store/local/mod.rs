@@ -1,15 +1,59 @@
 //! Files and sled: the only modules that know paths.
 //!
 //! - [`data_dir`]: the layout of a data directory; [`lock`], [`fence`]: one server at a time; [`contributor_key`]: what
-//!   pseudonyms are hashed with; [`files`]: files that are whole or not there; [`marker`], [`traces`]: what this store made.
-//! - [`sled_instance`]: one instance of sled; [`room`]: how much room a disk has left.
+//!   pseudonyms are hashed with; [`marker`], [`traces`]: what this store made.
+//! - [`files`]: files that are whole or not there; [`objects`], [`segments`], [`manifest`]: what the store keeps in files.
+//! - [`tables`]: the tables of tiles; [`sled_table`] and [`sled_instance`]: one of them in sled; [`table_dir`]: its
+//!   directory; [`room`]: how much room a disk has left.
 
 mod contributor_key;
-pub(in crate::store) mod data_dir;
-pub(in crate::store) mod fence;
-pub(in crate::store) mod files;
+mod data_dir;
+mod fence;
+mod files;
 mod lock;
-pub(in crate::store) mod marker;
-pub(in crate::store) mod room;
+mod manifest;
+mod marker;
+mod objects;
+mod room;
+mod segments;
 pub(in crate::store) mod sled_instance;
+mod sled_table;
+mod table_dir;
+mod tables;
 mod traces;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::api::Error;
+use super::backend::Backend;
+use data_dir::DataDir;
+
+/// Opens a data directory, and locks it for as long as the backend is held.
+pub(in crate::store) fn open(root: &Path, cache_bytes: u64) -> Result<Backend, Error> {
+    let dir = Arc::new(DataDir::open(root)?);
+    Ok(Backend {
+        objects: Arc::new(objects::LocalObjects::of(dir.root())),
+        segments: Arc::new(segments::LocalSegments::of(&dir.journal())),
+        manifests: Arc::new(manifest::LocalManifest(dir.clone())),
+        tables: Arc::new(tables::LocalTables { dir: dir.clone(), cache_bytes }),
+        fence: Arc::new(dir.fence().clone()),
+        pseudonyms: dir,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::backend::conformance::{Place, conforms};
+
+    struct Directory(tempfile::TempDir);
+
+    impl Place for Directory {
+        fn open(&self) -> Backend {
+            open(self.0.path(), 1 << 20).unwrap()
+        }
+    }
+
+    conforms!(Directory(tempfile::tempdir().unwrap()));
+}

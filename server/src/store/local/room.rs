@@ -15,7 +15,7 @@ const TIMES: u64 = 4;
 ///
 /// # Errors
 /// When there is not, or that cannot be told.
-pub(in crate::store) fn for_tiles(dir: &Path, bytes: u64) -> Result<(), Error> {
+pub(super) fn for_tiles(dir: &Path, bytes: u64) -> Result<(), Error> {
     let free = free(dir)?;
     let needed = HEADROOM.saturating_add(bytes.saturating_mul(TIMES));
     if free >= needed {

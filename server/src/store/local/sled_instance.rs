@@ -7,12 +7,18 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use crate::store::api::Error;
-use crate::store::map::pieces;
 
 /// How long a dropped instance may take to let go.
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 /// How long an instance may take to close. All of its data are on disk before.
 const CLOSING: Duration = Duration::from_secs(5);
+
+/// How sled stores tiles: in segments so small that a small map takes little, rewritten when they hold little.
+fn config(dir: &Path, cache_bytes: u64) -> sled::Config {
+    const SEGMENT_BYTES: usize = 256 << 10;
+    let config = sled::Config::new().path(dir).mode(sled::Mode::LowSpace);
+    config.segment_size(SEGMENT_BYTES).cache_capacity(cache_bytes)
+}
 
 /// A database and the tree in it that holds the tiles.
 pub(in crate::store) struct Sled {
@@ -25,7 +31,7 @@ pub(in crate::store) struct Sled {
 impl Sled {
     pub(in crate::store) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
         wait_until_unlocked(dir);
-        let db = pieces::config(dir, cache_bytes).open()?;
+        let db = config(dir, cache_bytes).open()?;
         let tree = db.open_tree("tiles")?;
         Ok(Self { handle: Some((db, tree)), given_up: AtomicBool::new(false) })
     }
@@ -98,7 +104,7 @@ mod tests {
     fn an_instance_that_goes_is_waited_for() {
         let dir = tempfile::tempdir().unwrap();
         let first = Sled::open(dir.path(), 1 << 20).unwrap();
-        assert!(pieces::config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
+        assert!(config(dir.path(), 1 << 20).open().is_err(), "sled itself does not wait");
         let held = Duration::from_millis(200);
         let began = Instant::now();
         let goes = std::thread::spawn(move || {

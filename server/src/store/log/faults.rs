@@ -5,7 +5,7 @@
 /// A deliberate defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(not(debug_assertions), allow(dead_code, reason = "builds that serve have no faults"))]
-pub(super) enum Fault {
+pub(in crate::store) enum Fault {
     /// An upload is acknowledged before it is written: a crash loses it.
     AckBeforeWrite,
     /// An upload is acknowledged once it is written, but not synced: a power cut loses it.
@@ -14,7 +14,7 @@ pub(super) enum Fault {
 
 /// The fault this process was started with.
 #[cfg(debug_assertions)]
-pub(super) fn fault() -> Option<Fault> {
+pub(in crate::store) fn fault() -> Option<Fault> {
     static FAULT: std::sync::OnceLock<Option<Fault>> = std::sync::OnceLock::new();
     *FAULT.get_or_init(|| {
         let fault = match std::env::var("ECHOFIX_FAULT").ok()?.as_str() {
@@ -29,6 +29,6 @@ pub(super) fn fault() -> Option<Fault> {
 
 /// None: builds that serve have no faults.
 #[cfg(not(debug_assertions))]
-pub(super) const fn fault() -> Option<Fault> {
+pub(in crate::store) const fn fault() -> Option<Fault> {
     None
 }

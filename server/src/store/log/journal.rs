@@ -1,11 +1,8 @@
 //! The journal: append-only, checksummed segment files. What [`Journal::append`] returns for is on
 //! disk.
 
-use std::fs::{self, File};
-use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use tracing::Span;
@@ -17,7 +14,9 @@ use super::medium::LogSegment;
 use super::writer::{Append, JournalWriter};
 use super::{medium, recover, segment, writer};
 use crate::store::api::{Error, io_error};
-use crate::store::local::fence::Fence;
+use crate::store::backend::objects::Readable;
+use crate::store::backend::owner::Fence;
+use crate::store::backend::segments::{self, HEADER, Listed, Segments};
 
 /// Where a record lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,16 +37,16 @@ pub(in crate::store) struct Written {
     pub(in crate::store) at: RecordPosition,
 }
 
-/// A file to copy: its name in the archive, and how many bytes of it.
+/// What is to be copied: its name in the archive, and how many bytes of it.
 pub(in crate::store) struct BackupPart {
     pub(in crate::store) name: String,
-    pub(in crate::store) file: File,
+    pub(in crate::store) object: Box<dyn Readable>,
     pub(in crate::store) length: u64,
 }
 
 /// The open journal. Dropping it finishes what was being written.
 pub(in crate::store) struct Journal {
-    dir: PathBuf,
+    segments: Arc<dyn Segments>,
     sender: Option<Mutex<Sender<Append>>>,
     writer: Option<JoinHandle<()>>,
 }
@@ -78,26 +77,27 @@ impl Journal {
     /// # Errors
     /// When the disk refuses, or a record that had been on disk is damaged or missing.
     pub(in crate::store) fn recover(
-        dir: &Path,
+        segments: &dyn Segments,
         mut visit: impl FnMut(Written, &[u8]) -> Result<(), Error>,
     ) -> Result<RecoveredJournal, Error> {
-        let mut firsts = segments(dir)?;
-        drop_unfinished(dir, &mut firsts)?;
+        let mut listed = list(segments)?;
+        drop_unfinished(segments, &mut listed)?;
+        let firsts: Vec<u64> = listed.iter().map(|segment| segment.first).collect();
         let Some(&newest) = firsts.last() else {
             let id = Uuid::now_v7();
-            let empty = Some(LogSegment::create(dir, id, 1, || Ok(()))?);
+            let empty = Some(LogSegment::create(segments, id, 1, || Ok(()))?);
             return Ok(RecoveredJournal { id, next: 1, empty });
         };
         // Older ones were compacted: whether something covers them, the store knows.
         let (mut id, mut next, mut length) = (None, firsts[0], 0);
         let ends = firsts.iter().skip(1).copied().map(Some).chain([None]);
         for (first, end) in firsts.iter().copied().zip(ends) {
-            let path = segment::path(dir, first);
-            let bytes = fs::read(&path).map_err(io_error("reading a journal segment"))?;
+            let bytes = read(segments, first)?;
+            let damaged = |at, reason| damaged(segments, first, at, reason);
             let header = segment::parse_header(&bytes).filter(|(_, named)| *named == first);
-            let (journal, _) = header.ok_or_else(|| damaged(&path, 0, "its header is not sound"))?;
+            let (journal, _) = header.ok_or_else(|| damaged(0, "its header is not sound"))?;
             if first != next || id.is_some_and(|id| id != journal) {
-                return Err(damaged(&path, 0, "it does not continue the segment before it"));
+                return Err(damaged(0, "it does not continue the segment before it"));
             }
             id = Some(journal);
             let mut result = Ok(());
@@ -108,57 +108,45 @@ impl Journal {
                     result = visit(Written { number: record.number, at }, record.payload);
                 }
             })
-            .map_err(|damage| damaged(&path, damage.at, damage.reason))?;
+            .map_err(|damage| damaged(damage.at, damage.reason))?;
             result?;
             if sound.length < bytes.len() {
                 let left = bytes.len() - sound.length;
-                tracing::warn!(segment = %path.display(), left, "left out a write that was never acknowledged");
+                tracing::warn!(
+                    segment = segments.locate(first),
+                    left,
+                    "left out a write that was never acknowledged"
+                );
             }
             (next, length) = (sound.next, sound.length);
         }
         let id = id.unwrap_or_default();
-        medium::settle(dir, newest, length as u64)?;
+        medium::settle(segments, newest, length as u64)?;
         // On a full disk it stays as it is; the next record is refused then, and begins another.
-        let empty = (newest == next).then(|| LogSegment::replace(dir, id, newest).ok()).flatten();
+        let empty = (newest == next).then(|| LogSegment::replace(segments, id, newest).ok()).flatten();
         Ok(RecoveredJournal { id, next, empty })
-    }
-
-    /// Is there any segment?
-    pub(in crate::store) fn has_segments(dir: &Path) -> Result<bool, Error> {
-        Ok(dir.is_dir() && !segments(dir)?.is_empty())
-    }
-
-    /// Does a journal hold anything beyond its headers?
-    pub(in crate::store) fn holds_records(dir: &Path) -> Result<bool, Error> {
-        for first in segments(dir)? {
-            let file = fs::metadata(segment::path(dir, first));
-            if file.map_err(io_error("reading a journal segment"))?.len() > segment::HEADER as u64 {
-                return Ok(true);
-            }
-        }
-        Ok(false)
     }
 
     /// Starts writing, into a segment of its own: the ones that were found stay as they are. `deliver` gets every
     /// record in order, once it is on disk and before its append returns; `refusing` is told when the disk begins to refuse
     /// writes, and when it takes them again.
     pub(in crate::store) fn start(
-        dir: &Path,
+        segments: Arc<dyn Segments>,
         found: RecoveredJournal,
-        (segment_bytes, fence): (u64, Fence),
+        (segment_bytes, fence): (u64, Arc<dyn Fence>),
         deliver: impl FnMut(RecordMeta, Written) + Send + 'static,
         refusing: impl FnMut(bool) + Send + 'static,
     ) -> Result<Self, Error> {
         let (sender, receiver) = mpsc::channel();
-        let (segments, id) = (dir.to_owned(), found.id);
+        let (of_writer, id) = (segments.clone(), found.id);
         let of_segments = fence.clone();
-        let create = move |first| LogSegment::create(&segments, id, first, || of_segments.check());
+        let create = move |first| LogSegment::create(&*of_writer, id, first, || of_segments.check());
         let disk = writer::Disk { create: Box::new(create), still_ours: Box::new(move || fence.check()) };
         let found = (found.next, found.empty);
         let writer = JournalWriter::new(disk, found, segment_bytes, (Box::new(deliver), Box::new(refusing)));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
-        Ok(Self { dir: dir.to_owned(), sender: Some(Mutex::new(sender)), writer: Some(writer) })
+        Ok(Self { segments, sender: Some(Mutex::new(sender)), writer: Some(writer) })
     }
 
     /// Writes a record and returns once it is on disk. No segment holds records of two days, so that
@@ -213,13 +201,10 @@ impl Journal {
     /// # Errors
     /// When the disk refuses.
     pub(in crate::store) fn delete_up_to(&self, last: u64) -> Result<(), Error> {
-        let firsts = segments(&self.dir)?;
-        let covered = firsts.iter().zip(firsts.iter().skip(1)).filter(|(_, next)| **next <= last + 1);
-        for (first, _) in covered {
-            fs::remove_file(segment::path(&self.dir, *first))
-                .map_err(io_error("deleting a compacted segment"))?;
-        }
-        File::open(&self.dir).and_then(|dir| dir.sync_all()).map_err(io_error("syncing the journal"))
+        let listed = list(&*self.segments)?;
+        let covered = listed.iter().zip(listed.iter().skip(1)).filter(|(_, next)| next.first <= last + 1);
+        let covered: Vec<u64> = covered.map(|(segment, _)| segment.first).collect();
+        self.segments.delete(&covered).map_err(io_error("deleting compacted segments"))
     }
 
     /// The journal's files up to a record that is on disk; all of them, as they are, without one.
@@ -229,24 +214,22 @@ impl Journal {
     pub(in crate::store) fn parts(&self, last: Option<RecordPosition>) -> Result<Vec<BackupPart>, Error> {
         let opening = "opening a journal segment";
         let mut parts = Vec::new();
-        for first in segments(&self.dir)? {
-            let path = segment::path(&self.dir, first);
-            let file = File::open(&path).map_err(io_error(opening))?;
-            let whole = file.metadata().map_err(io_error(opening))?.len();
+        for Listed { first, .. } in list(&*self.segments)? {
+            let object = self.segments.open(first).map_err(io_error(opening))?;
+            let whole = object.length().map_err(io_error(opening))?;
             let length = match last {
                 Some(last) if first > last.segment => continue,
                 Some(last) if first == last.segment => u64::from(last.offset) + u64::from(last.length),
                 _ => whole,
             };
-            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-            parts.push(BackupPart { name: format!("journal/{}", name.unwrap_or_default()), file, length });
+            parts.push(BackupPart { name: format!("journal/{}", segments::name(first)), object, length });
         }
         Ok(parts)
     }
 
     /// Payloads of records, read with as few opened files as their order allows.
     pub(in crate::store) fn reader(&self) -> RecordReader<'_> {
-        RecordReader { dir: &self.dir, open: None }
+        RecordReader { segments: &*self.segments, open: None }
     }
 }
 
@@ -262,8 +245,8 @@ impl Drop for Journal {
 
 /// Reads records.
 pub(in crate::store) struct RecordReader<'a> {
-    dir: &'a Path,
-    open: Option<(u64, File)>,
+    segments: &'a dyn Segments,
+    open: Option<(u64, Box<dyn Readable>)>,
 }
 
 impl RecordReader<'_> {
@@ -272,51 +255,45 @@ impl RecordReader<'_> {
     /// # Errors
     /// When the disk refuses or the record is damaged.
     pub(in crate::store) fn payload(&mut self, at: RecordPosition) -> Result<Vec<u8>, Error> {
-        let path = segment::path(self.dir, at.segment);
         let file = match self.open.take() {
             Some((segment, file)) if segment == at.segment => file,
-            _ => File::open(&path).map_err(io_error("opening a journal segment"))?,
+            _ => self.segments.open(at.segment).map_err(io_error("opening a journal segment"))?,
         };
         let mut bytes = vec![0; segment::RECORD_HEADER + at.length as usize];
         let start = u64::from(at.offset) - segment::RECORD_HEADER as u64;
-        file.read_exact_at(&mut bytes, start).map_err(io_error("reading a journal record"))?;
+        file.read_at(start, &mut bytes).map_err(io_error("reading a journal record"))?;
         self.open = Some((at.segment, file));
         if segment::parse_record(&bytes).is_none_or(|record| record.payload.len() != at.length as usize) {
-            return Err(damaged(&path, start as usize, "a record does not match its checksum"));
+            let reason = "a record does not match its checksum";
+            return Err(damaged(self.segments, at.segment, start as usize, reason));
         }
         bytes.drain(..segment::RECORD_HEADER);
         Ok(bytes)
     }
 }
 
-/// First numbers of the segments in a directory, in order.
-fn segments(dir: &Path) -> Result<Vec<u64>, Error> {
-    let mut firsts = Vec::new();
-    for entry in fs::read_dir(dir).map_err(io_error("listing the journal"))? {
-        let path = entry.map_err(io_error("listing the journal"))?.path();
-        if let Some(first) = segment::first_of(&path).filter(|_| path.is_file()) {
-            firsts.push(first);
-        } else {
-            tracing::warn!(file = %path.display(), "ignoring a stray file in the journal");
-        }
-    }
-    firsts.sort_unstable();
-    Ok(firsts)
+fn list(segments: &dyn Segments) -> Result<Vec<Listed>, Error> {
+    segments.list().map_err(io_error("listing the journal"))
+}
+
+/// A whole segment.
+fn read(segments: &dyn Segments, first: u64) -> Result<Vec<u8>, Error> {
+    let read = || {
+        let segment = segments.open(first)?;
+        let mut bytes = vec![0; segment.length()? as usize];
+        segment.read_at(0, &mut bytes)?;
+        Ok(bytes)
+    };
+    read().map_err(io_error("reading a journal segment"))
 }
 
 /// Removes the newest segment when the crash came before its header was on disk: it never held a
 /// record, because none is written before the header is synced.
-fn drop_unfinished(dir: &Path, firsts: &mut Vec<u64>) -> Result<(), Error> {
-    let Some(&newest) = firsts.last() else { return Ok(()) };
-    let path = segment::path(dir, newest);
-    let bytes = fs::metadata(&path).map_err(io_error("reading a journal segment"))?.len();
-    if bytes > segment::HEADER as u64 {
-        return Ok(());
-    }
-    let header = fs::read(&path).map_err(io_error("reading a journal segment"))?;
-    if segment::parse_header(&header).is_none() {
-        fs::remove_file(&path).map_err(io_error("removing an unfinished journal segment"))?;
-        firsts.pop();
+fn drop_unfinished(segments: &dyn Segments, listed: &mut Vec<Listed>) -> Result<(), Error> {
+    let Some(Listed { first, bytes }) = listed.last().copied() else { return Ok(()) };
+    if bytes <= HEADER as u64 && segment::parse_header(&read(segments, first)?).is_none() {
+        segments.delete(&[first]).map_err(io_error("removing an unfinished journal segment"))?;
+        listed.pop();
     }
     Ok(())
 }
@@ -325,9 +302,9 @@ fn gone() -> Error {
     Error::Stopped("the journal's thread has ended".to_owned())
 }
 
-fn damaged(path: &Path, at: usize, reason: &str) -> Error {
+fn damaged(segments: &dyn Segments, first: u64, at: usize, reason: &str) -> Error {
     Error::Damaged {
-        what: format!("journal segment {} at byte {at}", path.display()),
+        what: format!("journal segment {} at byte {at}", segments.locate(first)),
         reason: reason.to_owned(),
     }
 }

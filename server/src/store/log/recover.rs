@@ -5,7 +5,8 @@
 //! an error. The two are distinguished by the records behind the bad one: one that was written when
 //! the bad one was already on disk proves damage.
 
-use super::segment::{self, FramedRecord, HEADER};
+use super::segment::{self, FramedRecord};
+use crate::store::backend::segments::HEADER;
 
 /// A sound segment, or the sound beginning of one.
 #[derive(Debug, PartialEq, Eq)]

@@ -9,31 +9,16 @@
 //! by the number of its first record. `synced` is the last number that was on disk when the record
 //! was written: damage before it cannot be a torn write, see [`crate::store::log::recover`].
 
-use std::path::{Path, PathBuf};
-
 use uuid::Uuid;
 
+use crate::store::backend::segments::HEADER;
 use crate::store::checksum::{seal, sealed};
 
 const MAGIC: [u8; 4] = *b"EFJ\x01";
-/// Bytes of a segment's header.
-pub(super) const HEADER: usize = 32;
 /// Bytes of a record's length, which precedes its checksummed frame.
 const LENGTH: usize = 4;
 /// Bytes of a record before its payload.
 pub(super) const RECORD_HEADER: usize = 24;
-
-/// The file of the segment whose first record has this number.
-pub(in crate::store) fn path(dir: &Path, first: u64) -> PathBuf {
-    dir.join(format!("{first:020}.seg"))
-}
-
-/// The number of a segment's first record, by its file's name.
-pub(super) fn first_of(path: &Path) -> Option<u64> {
-    let name = path.file_name()?.to_str()?.strip_suffix(".seg")?;
-    let digits = name.len() == 20 && name.bytes().all(|b| b.is_ascii_digit());
-    digits.then(|| name.parse().ok())?
-}
 
 /// The bytes of a header.
 pub(in crate::store) fn header(journal: Uuid, first: u64) -> [u8; HEADER] {
@@ -122,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_and_names_are_checked() {
+    fn headers_are_checked() {
         let id = Uuid::from_u128(5);
         let good = header(id, 9);
         assert_eq!(parse_header(&good), Some((id, 9)));
@@ -131,10 +116,6 @@ mod tests {
             bad[at] ^= 4;
             assert_eq!(parse_header(&bad), None, "{at}");
             assert_eq!(parse_header(&good[..at]), None);
-        }
-        assert_eq!(first_of(&path(Path::new("j"), 12)), Some(12));
-        for stray in ["12.seg", "0000000000000000012x.seg", "00000000000000000012.tmp", "notes.txt"] {
-            assert_eq!(first_of(Path::new(stray)), None, "{stray}");
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::store::api::Error;
 const GROUP_BYTES: usize = 8 << 20;
 
 /// A record that waits to be written.
-pub(super) struct Append {
+pub(in crate::store) struct Append {
     pub(in crate::store) meta: RecordMeta,
     /// Begins a segment of its own.
     pub(in crate::store) fresh: bool,
@@ -39,10 +39,10 @@ const PROBE: Duration = Duration::from_secs(2);
 const PROBE_BYTES: usize = 1 << 20;
 
 /// What the writer asks of the disk.
-pub(super) struct Disk {
+pub(in crate::store) struct Disk {
     /// Makes the segment whose first record has this number.
     pub(in crate::store) create: Box<dyn FnMut(u64) -> Result<LogSegment, Error> + Send>,
-    /// Did nobody else take the directory over? Asked after each sync, see [`crate::store::local::fence::Fence`].
+    /// Did nobody else take the directory over? Asked after each sync, see [`crate::store::backend::owner::Fence`].
     pub(super) still_ours: Box<dyn Fn() -> Result<(), Error> + Send>,
 }
 
@@ -299,8 +299,8 @@ mod tests {
     use uuid::Uuid;
 
     use super::*;
+    use crate::store::backend::segments::Medium;
     use crate::store::log::entry::RecordSubject;
-    use crate::store::log::medium::Medium;
     use crate::store::log::recover;
 
     /// A disk that fails on request.

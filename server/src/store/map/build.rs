@@ -24,18 +24,7 @@ use super::generation::Generation;
 use super::manifest::Manifest;
 use super::vetting::Vetting;
 use crate::store::api::{Building, Error, MapStatus};
-
-/// Steps after which a test stops.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::store) enum BuildStep {
-    CheckpointFolded,
-    CheckpointWritten,
-    Created,
-    Folded,
-    Flushed,
-    Published,
-    Served,
-}
+use crate::store::backend::tables::{TableId, TableUse};
 
 /// The generation that came of it.
 pub(in crate::store) struct Built {
@@ -51,22 +40,25 @@ pub(in crate::store) fn build(shared: &StoreContext) -> Result<Option<Built>, Er
     let applied = shared.index.newest_control();
     let mut reporter = BuildReporter::new(shared, applied);
     let Some(checkpoint) = compacted_checkpoint(shared, applied, &mut reporter)? else { return Ok(None) };
-    let number = shared.dir.next_generation()?;
-    let (path, publish) = (shared.dir.generation(number), shared.policy.publish_contributors);
-    let fresh = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
-    reached(shared, BuildStep::Created)?;
+    let fresh = created(shared, TableUse::Served)?;
     let outcome = fill(shared, &fresh, &checkpoint, applied, &mut reporter);
     let Some(folded) = outcome.inspect_err(|_| fresh.retire())? else {
         fresh.retire();
         return Ok(None);
     };
     let generation = publish_and_serve(shared, fresh, applied, folded)?;
-    reached(shared, BuildStep::Served)?;
     if let Err(error) = discard_compacted(shared, checkpoint) {
         tracing::error!(%error, "compacted records could not be deleted; the next start does");
     }
     tracing::info!(epoch = folded, control = applied, "a new generation of the map is served");
     Ok(Some(Built { generation, applied, folded }))
+}
+
+/// A new, empty generation.
+fn created(shared: &StoreContext, used: TableUse) -> Result<Generation, Error> {
+    let tables = &*shared.backend.tables;
+    let id = TableId { used, number: tables.next_number()? };
+    Generation::create(tables, id, shared.journal_id, shared.settings.policy.publish_contributors)
 }
 
 /// Names a generation in the manifest, serves it, and lets the one before go.
@@ -76,10 +68,9 @@ fn publish_and_serve(
     applied: u64,
     folded: u64,
 ) -> Result<Arc<Generation>, Error> {
-    let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.policy.digest());
-    shared.dir.fence().check()?;
-    Manifest { journal, generation: fresh.number, applied, lineage, policy }.write(shared.dir.root())?;
-    reached(shared, BuildStep::Published)?;
+    let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.settings.policy.digest());
+    Manifest { journal, generation: fresh.number, applied, lineage, policy }
+        .write(&*shared.backend.manifests)?;
     let generation = Arc::new(fresh);
     let before = shared.serve(Some(generation.clone()));
     shared.progress.send_modify(|progress| {
@@ -100,13 +91,10 @@ pub(in crate::store) fn replace(
     failed: &Generation,
     applied: u64,
 ) -> Result<Arc<Generation>, Error> {
-    let number = shared.dir.next_generation()?;
-    let publish = shared.policy.publish_contributors;
-    crate::store::local::room::for_tiles(shared.dir.root(), failed.catalog().totals(0).bytes)?;
-    let path = shared.dir.generation(number);
-    let fresh = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
+    failed.tiles.table().room_for(failed.catalog().totals(0).bytes)?;
+    let fresh = created(shared, TableUse::Served)?;
     let filled = fresh.copy(failed).and_then(|()| fresh.complete(shared.journal_id));
-    filled.and_then(|()| fresh.tiles.flush()).inspect_err(|_| fresh.retire())?;
+    filled.and_then(|()| fresh.tiles.table().flush()).inspect_err(|_| fresh.retire())?;
     publish_and_serve(shared, fresh, applied, failed.folded())
 }
 
@@ -121,7 +109,7 @@ pub(in crate::store) fn discard_compacted(
     *current = checkpoint;
     shared.index.truncate(last);
     shared.journal.delete_up_to(last)?;
-    current.remove_others(shared.dir.root(), shared.journal_id)
+    current.remove_others(&*shared.backend.objects, shared.journal_id)
 }
 
 /// Folds checkpoint and journal into an empty generation. Returns the last record it holds; `None` when the
@@ -134,10 +122,11 @@ fn fill(
     reporter: &mut BuildReporter<'_>,
 ) -> Result<Option<u64>, Error> {
     let (index, journal) = (&shared.index, &shared.journal);
-    let mut vetting = Vetting::new(shared.policy.vetting);
-    fresh.load(checkpoint)?;
+    let mut vetting = Vetting::new(shared.settings.policy.vetting);
+    fresh.load(&*shared.backend.objects, checkpoint)?;
     let exclusion = &index.exclusion(applied);
-    let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
+    let records =
+        CountedRecords { journal, index, exclusion, buffer_tiles: shared.settings.write_buffer_tiles };
     let mut folded = checkpoint.last;
     loop {
         // A later control takes a generation of its own.
@@ -150,11 +139,9 @@ fn fill(
             return Ok(None);
         }
     }
-    reached(shared, BuildStep::Folded)?;
     set_versions(fresh, shared.served().as_deref(), applied, folded)?;
     fresh.complete(shared.journal_id)?;
-    fresh.tiles.flush()?;
-    reached(shared, BuildStep::Flushed)?;
+    fresh.tiles.table().flush()?;
     Ok(Some(folded))
 }
 
@@ -186,26 +173,25 @@ fn compacted_checkpoint(
     applied: u64,
     reporter: &mut BuildReporter<'_>,
 ) -> Result<Option<Checkpoint>, Error> {
-    let (root, index) = (shared.dir.root(), &shared.index);
-    let checkpoint = Checkpoint::newest(root, shared.journal_id)?;
+    let (objects, index) = (&*shared.backend.objects, &shared.index);
+    let checkpoint = Checkpoint::newest(objects, shared.journal_id)?;
     if checkpoint.last < index.before() {
         return Err(uncovered(index.before(), checkpoint.last));
     }
     let mut compactions = index.compactions_beyond(checkpoint.last);
     compactions.retain(|(number, _)| *number <= applied);
     let Some((_, newest)) = compactions.last().copied() else { return Ok(Some(checkpoint)) };
-    let number = shared.dir.next_generation()?;
-    let (path, publish) = (shared.dir.scratch(number), shared.policy.publish_contributors);
-    let scratch = Generation::create(&path, number, shared.journal_id, (shared.cache_bytes, publish))?;
+    let scratch = created(shared, TableUse::Scratch)?;
     // Its ledgers must not stay on disk.
     scratch.retire();
-    scratch.load(&checkpoint)?;
+    scratch.load(objects, &checkpoint)?;
     let (mut folded, journal) = (checkpoint.last, &shared.journal);
-    let mut vetting = Vetting::new(shared.policy.vetting);
+    let mut vetting = Vetting::new(shared.settings.policy.vetting);
     for (number, last) in compactions {
         // What was decided after a compaction does not change what was compacted.
         let exclusion = &index.exclusion(number);
-        let records = CountedRecords { journal, index, exclusion, buffer_tiles: shared.write_buffer_tiles };
+        let records =
+            CountedRecords { journal, index, exclusion, buffer_tiles: shared.settings.write_buffer_tiles };
         folded = replay(&records, &mut &scratch, folded, last, &mut vetting, |at| reporter.at(at))?;
         if index.ended() {
             return Ok(None);
@@ -215,14 +201,12 @@ fn compacted_checkpoint(
             Ok(true)
         })?;
     }
-    reached(shared, BuildStep::CheckpointFolded)?;
     let uploads = checkpoint.uploads + index.uploads_within(checkpoint.last, newest);
     let lost = || Error::Damaged { what: "the scratch tiles".to_owned(), reason: "one is gone".to_owned() };
-    let checkpoint = Checkpoint::write(root, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
+    let checkpoint = Checkpoint::write(objects, shared.journal_id, (newest, uploads), &scratch.ids(), |id| {
         scratch.tiles.raw(id)?.ok_or_else(lost)
-    })?;
-    reached(shared, BuildStep::CheckpointWritten)?;
-    Ok(Some(checkpoint))
+    });
+    checkpoint.map(Some)
 }
 
 /// Compacted records are gone and what stood for them, too.
@@ -264,18 +248,4 @@ impl<'a> BuildReporter<'a> {
         }
         !self.shared.index.ended()
     }
-}
-
-#[cfg(not(test))]
-#[expect(clippy::unnecessary_wraps, reason = "fails where a test says so")]
-fn reached(_: &StoreContext, _: BuildStep) -> Result<(), Error> {
-    Ok(())
-}
-
-#[cfg(test)]
-fn reached(shared: &StoreContext, step: BuildStep) -> Result<(), Error> {
-    if *shared.fails_at.lock().unwrap() == Some(step) {
-        return Err(Error::Stopped(format!("the test stops at {step:?}")));
-    }
-    Ok(())
 }

@@ -11,10 +11,9 @@ use super::checkpoint::Checkpoint;
 use super::generation::Generation;
 use super::policy::Policy;
 use crate::store::api::{Error, MapProgress, MapStatus, StoreClock};
-use crate::store::local::data_dir::DataDir;
+use crate::store::backend::Backend;
 use crate::store::log::index::JournalIndex;
 use crate::store::log::journal::Journal;
-use crate::store::options::Options;
 
 /// How long one step of folding may take: some records, or one tile of a new generation.
 const STEP: Duration = Duration::from_mins(5);
@@ -41,12 +40,24 @@ impl Heartbeat {
     }
 }
 
+/// How a store works, wherever it is stored.
+#[derive(Debug, Clone)]
+pub(in crate::store) struct Settings {
+    /// Size from which a journal segment is followed by the next, bytes.
+    pub(in crate::store) segment_bytes: u64,
+    /// Tiles in memory from which on they are written before more is folded.
+    pub(in crate::store) write_buffer_tiles: usize,
+    /// Which evidence counts, and what of it is published.
+    pub(in crate::store) policy: Policy,
+    /// What day it is.
+    pub(in crate::store) clock: StoreClock,
+    /// How long folding rests after an error.
+    pub(in crate::store) retry: Duration,
+}
+
 /// What the store and its folding thread share.
 pub(in crate::store) struct StoreContext {
-    pub(in crate::store) cache_bytes: u64,
-    pub(in crate::store) write_buffer_tiles: usize,
-    pub(in crate::store) policy: Policy,
-    pub(in crate::store) clock: StoreClock,
+    pub(in crate::store) settings: Settings,
     pub(in crate::store) journal_id: Uuid,
     pub(in crate::store) lineage: u64,
     pub(in crate::store) journal: Journal,
@@ -61,27 +72,21 @@ pub(in crate::store) struct StoreContext {
     pub(in crate::store) beat: Heartbeat,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
-    /// Where a test lets the building of a generation fail.
-    #[cfg(test)]
-    pub(in crate::store) fails_at: Mutex<Option<crate::store::map::build::BuildStep>>,
-    /// Declared last: unlocked when all else is closed.
-    pub(in crate::store) dir: DataDir,
+    /// Declared last: given up when all else is closed.
+    pub(in crate::store) backend: Backend,
 }
 
 impl StoreContext {
     pub(in crate::store) fn new(
-        dir: DataDir,
-        options: &Options,
+        backend: Backend,
+        settings: Settings,
         (journal_id, lineage, journal): (Uuid, u64, Journal),
         index: Arc<JournalIndex>,
         progress: watch::Sender<MapProgress>,
         (served, checkpoint): (Option<Arc<Generation>>, Checkpoint),
     ) -> Self {
         Self {
-            cache_bytes: options.cache_bytes,
-            write_buffer_tiles: options.write_buffer_tiles,
-            policy: options.policy,
-            clock: options.clock.clone(),
+            settings,
             journal_id,
             lineage,
             journal,
@@ -92,9 +97,7 @@ impl StoreContext {
             checkpoint: RwLock::new(checkpoint),
             beat: Heartbeat::default(),
             deciding: Mutex::default(),
-            #[cfg(test)]
-            fails_at: Mutex::default(),
-            dir,
+            backend,
         }
     }
 

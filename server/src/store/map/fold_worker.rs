@@ -14,8 +14,6 @@ use crate::store::api::{Error, MapStatus};
 use crate::store::log::index::NextFold;
 use crate::store::log::journal::Written;
 
-/// How long folding rests after an error.
-const RETRY: Duration = Duration::from_secs(2);
 /// How often an error that stays is logged.
 const REMINDER: Duration = Duration::from_mins(1);
 
@@ -33,7 +31,7 @@ pub(in crate::store) struct FoldWorker {
 pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
     let whole = shared.index.newest();
     let (mut logged, mut reminded) = (Instant::now(), None);
-    let mut vetting = Vetting::new(shared.policy.vetting);
+    let mut vetting = Vetting::new(shared.settings.policy.vetting);
     loop {
         match folder.step(shared, &mut vetting) {
             Ok(false) => return,
@@ -52,7 +50,7 @@ pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
                     shared.set_state(MapStatus::Stalled);
                 }
                 shared.beat.rest();
-                if !shared.index.pause(RETRY) {
+                if !shared.index.pause(shared.settings.retry) {
                     return;
                 }
                 shared.beat.beat();
@@ -131,5 +129,5 @@ fn fold(
     newest: u64,
     vetting: &mut Vetting,
 ) -> Result<(), Error> {
-    fold_group((&shared.journal, shared.write_buffer_tiles), &mut &*on, group, newest, vetting)
+    fold_group((&shared.journal, shared.settings.write_buffer_tiles), &mut &*on, group, newest, vetting)
 }

@@ -1,11 +1,7 @@
 //! A generation of tiles: the map as folded under some controls.
 
-use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
-use std::time::Duration;
 
 use echofix_core::geo::TileId;
 use echofix_core::tile;
@@ -16,14 +12,12 @@ use super::catalog::Catalog;
 use super::checkpoint::Checkpoint;
 use super::tiles::{TileStore, TileValue};
 use super::write_buffer::{Folded, Source};
-use crate::store::api::QuarantinedRecord;
-use crate::store::api::{Error, io_error};
-use crate::store::local::marker::{mark, marked};
+use crate::store::api::{Error, QuarantinedRecord};
+use crate::store::backend::objects::Objects;
+use crate::store::backend::tables::{TableId, TableUse, TileTables};
 
 /// Tiles written at once when many are.
 const BATCH: usize = 64;
-/// Attempts to remove a directory that sled's threads are just leaving.
-const REMOVALS: usize = 100;
 
 /// Tiles on disk and their catalog in memory.
 pub(in crate::store) struct Generation {
@@ -34,94 +28,56 @@ pub(in crate::store) struct Generation {
     catalog: RwLock<Catalog>,
     /// The last record it holds.
     folded: AtomicU64,
-    /// Declared last: goes when sled is closed.
-    dir: GenerationDir,
-}
-
-struct GenerationDir {
-    path: PathBuf,
-    retired: AtomicBool,
-}
-
-impl Drop for GenerationDir {
-    fn drop(&mut self) {
-        if !self.retired.load(Ordering::Acquire) {
-            return;
-        }
-        // An instance of sled that failed keeps its file open: its room is given back all the same.
-        if let Ok(file) = fs::OpenOptions::new().write(true).open(self.path.join("db")) {
-            let _ = file.set_len(0);
-        }
-        for _ in 0..REMOVALS {
-            match fs::remove_dir_all(&self.path) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    std::thread::sleep(Duration::from_millis(10));
-                }
-                _ => return,
-            }
-        }
-        tracing::warn!(path = %self.path.display(), "old tiles could not be removed; the next start does");
-    }
 }
 
 impl Generation {
     /// A new, empty generation, marked as made from a journal; nothing may be in its place. It can be opened again once
     /// it is [complete](Self::complete).
     pub(in crate::store) fn create(
-        path: &Path,
-        number: u64,
+        tables: &dyn TileTables,
+        id: TableId,
         journal: Uuid,
-        (cache_bytes, publish): (u64, u8),
+        publish: u8,
     ) -> Result<Self, Error> {
-        fs::create_dir(path)
-            .and_then(|()| mark(path, journal))
-            .map_err(io_error("making a directory for tiles"))?;
-        let dir = GenerationDir::new(path);
-        let tiles =
-            TileStore::open(path, cache_bytes).inspect_err(|_| dir.retired.store(true, Ordering::Release))?;
-        Ok(Self { number, tiles, publish, catalog: RwLock::default(), folded: AtomicU64::new(0), dir })
+        let tiles = TileStore::of(tables.create(id, journal)?);
+        let (catalog, folded) = (RwLock::default(), AtomicU64::new(0));
+        Ok(Self { number: id.number, tiles, publish, catalog, folded })
     }
 
     /// Names the journal that all of it was folded from. It is the last that is written of a new generation: one that a
     /// crash took back to the middle of its making is not taken for a whole one.
     pub(in crate::store) fn complete(&self, journal: Uuid) -> Result<(), Error> {
-        self.tiles.set_journal(journal)
+        self.tiles.table().complete(journal)
     }
 
-    /// A generation as it was left; `Err` says why it cannot be used. sled
-    /// panics on some damaged files: that is caught here.
+    /// A generation as it was left; `Err` says why it cannot be used. A table may
+    /// panic on damaged files: that is caught here.
     pub(in crate::store) fn open(
-        path: &Path,
+        tables: &dyn TileTables,
         number: u64,
-        cache_bytes: u64,
         journal: Uuid,
         publish: u8,
     ) -> Result<Self, TilesError> {
-        if !path.exists() {
-            return Err(TilesError::Gone);
-        }
-        let (tiles, of) = caught(|| {
-            let tiles = TileStore::open(path, cache_bytes)?;
-            let of = tiles.journal()?;
-            Ok((tiles, of))
+        let id = TableId { used: TableUse::Served, number };
+        let found = caught(|| match tables.open(id)? {
+            Some(table) => Ok(Some((table.made_from()?, table))),
+            None => Ok(None),
         })?;
+        let (of, table) = found.ok_or(TilesError::Gone)?;
         if of != Some(journal) {
             return Err(TilesError::OtherJournal);
         }
+        let tiles = TileStore::of(table);
         let (catalog, folded) = caught(|| Ok(tiles.check()))??;
-        if marked(path).is_none() {
-            // Of before there were markers.
-            mark(path, journal).map_err(|error| TilesError::from(io_error("marking tiles")(error)))?;
-        }
-        let dir = GenerationDir::new(path);
+        tiles.table().adopt(journal)?;
         let (catalog, folded) = (RwLock::new(catalog), AtomicU64::new(folded));
-        Ok(Self { number, tiles, publish, catalog, folded, dir })
+        Ok(Self { number, tiles, publish, catalog, folded })
     }
 
     /// Fills an empty generation from a checkpoint.
-    pub(in crate::store) fn load(&self, checkpoint: &Checkpoint) -> Result<(), Error> {
+    pub(in crate::store) fn load(&self, objects: &dyn Objects, checkpoint: &Checkpoint) -> Result<(), Error> {
         let mut batch = Vec::with_capacity(BATCH);
-        checkpoint.visit(|id, version, encoded| {
+        checkpoint.visit(objects, |id, version, encoded| {
             let damaged =
                 |error| Error::Damaged { what: format!("tile {id} of the checkpoint"), reason: error };
             let tile = tile::decode(&encoded).map_err(|error| damaged(error.to_string()))?;
@@ -149,9 +105,7 @@ impl Generation {
         quarantined: &[QuarantinedRecord],
         folded: u64,
     ) -> Result<(), Error> {
-        if let Some(parent) = self.dir.path.parent() {
-            crate::store::local::room::for_tiles(parent, values.iter().map(TileValue::len).sum())?;
-        }
+        self.tiles.table().room_for(values.iter().map(TileValue::len).sum())?;
         let infos: Vec<_> = values.iter().map(|value| value.info).collect();
         let digest = self.catalog().digest_with(&infos);
         self.tiles.put_all(values, quarantined, folded, digest)?;
@@ -205,9 +159,9 @@ impl Generation {
         self.catalog().all().map(|info| info.id).collect()
     }
 
-    /// Removes the directory once it has no readers any more.
-    pub(super) fn retire(&self) {
-        self.dir.retired.store(true, Ordering::Release);
+    /// Removes its tiles once it has no readers any more.
+    pub(in crate::store) fn retire(&self) {
+        self.tiles.table().retire();
     }
 
     pub(in crate::store) fn catalog(&self) -> RwLockReadGuard<'_, Catalog> {
@@ -217,12 +171,6 @@ impl Generation {
 
     fn catalog_mut(&self) -> RwLockWriteGuard<'_, Catalog> {
         self.catalog.write().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl GenerationDir {
-    fn new(path: &Path) -> Self {
-        Self { path: path.to_owned(), retired: AtomicBool::new(false) }
     }
 }
 
@@ -241,22 +189,23 @@ impl Source for &Generation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::backend::Backend;
+    use crate::store::backend::memory::Memory;
 
     /// Catches: a generation in the making, which a power cut may leave behind, taken for a whole one.
     #[test]
     fn what_was_not_completed_is_not_opened() {
-        let dir = tempfile::tempdir().unwrap();
-        let (path, journal) = (dir.path().join("tiles-1"), Uuid::from_u128(5));
-        let generation = Generation::create(&path, 1, journal, (1 << 20, 1)).unwrap();
-        generation.load(&Checkpoint::default()).unwrap();
-        drop(generation);
-        assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_err());
-        assert!(Generation::create(&path, 1, journal, (1 << 20, 1)).is_err(), "nothing is removed");
-        fs::remove_dir_all(&path).unwrap();
-        let generation = Generation::create(&path, 1, journal, (1 << 20, 1)).unwrap();
-        generation.load(&Checkpoint::default()).unwrap();
-        generation.complete(journal).unwrap();
-        drop(generation);
-        assert!(Generation::open(&path, 1, 1 << 20, journal, 1).is_ok());
+        let journal = Uuid::from_u128(5);
+        let Backend { tables, objects, .. } = Memory::default().open();
+        let create = |number| {
+            let id = TableId { used: TableUse::Served, number };
+            let generation = Generation::create(&*tables, id, journal, 1)?;
+            generation.load(&*objects, &Checkpoint::default()).map(|()| generation)
+        };
+        drop(create(1).unwrap());
+        assert!(matches!(Generation::open(&*tables, 1, journal, 1), Err(TilesError::OtherJournal)));
+        assert!(create(1).is_err(), "nothing is removed");
+        create(2).unwrap().complete(journal).unwrap();
+        assert!(Generation::open(&*tables, 2, journal, 1).is_ok());
     }
 }

@@ -12,7 +12,7 @@ use siphasher::sip::SipHasher24;
 use crate::store::api::TileInfo;
 
 /// Bytes of a key.
-pub(super) const KEY: usize = 10;
+pub(in crate::store) const KEY: usize = 10;
 
 /// The key of a tile.
 pub(in crate::store) fn key(id: TileId) -> [u8; KEY] {

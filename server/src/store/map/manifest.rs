@@ -9,21 +9,17 @@
 //! ("EFM" 3) differs by its magic and by the digest, which is of a text with the code's names in it. It is read still: one
 //! that holds that digest of the policy in force is current, and replaced by one of the fourth format.
 
-use std::io::{self, Write};
-use std::path::Path;
-
 use uuid::Uuid;
 
 use super::policy::Policy;
-use crate::store::api::{Error, io_error};
+use crate::store::api::Error;
+use crate::store::backend::manifests::Manifests;
 use crate::store::checksum::{seal, sealed};
-use crate::store::local::files::put_file;
 
 const MAGIC: [u8; 4] = *b"EFM\x04";
 /// The magic of the third format.
 const LEGACY_MAGIC: [u8; 4] = *b"EFM\x03";
 const LENGTH: usize = 56;
-const NAME: &str = "manifest";
 
 /// What the manifest says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,22 +45,13 @@ pub(in crate::store) enum Found {
 }
 
 impl Manifest {
-    /// The manifest of a data directory. One of the third format that was made under the policy in force is brought into
+    /// The newest manifest. One of the third format that was made under the policy in force is brought into
     /// the fourth first.
     ///
     /// # Errors
     /// When it cannot be read, or that cannot be written.
-    pub(in crate::store) fn read(root: &Path, policy: &Policy) -> Result<Found, Error> {
-        let path = root.join(NAME);
-        let bytes = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Found::None),
-            Err(error) if path.is_dir() => {
-                tracing::warn!(%error, "there is a directory in the manifest's place");
-                return Ok(Found::Damaged);
-            }
-            Err(error) => return Err(io_error("reading the manifest")(error)),
-        };
+    pub(in crate::store) fn read(manifests: &dyn Manifests, policy: &Policy) -> Result<Found, Error> {
+        let Some(bytes) = manifests.newest()? else { return Ok(Found::None) };
         if let Some(manifest) = Self::parse(&bytes, MAGIC) {
             return Ok(Found::Sound(manifest));
         }
@@ -73,15 +60,17 @@ impl Manifest {
             return Ok(Found::Sound(legacy));
         }
         let manifest = Self { policy: policy.digest(), ..legacy };
-        manifest.write(root)?;
+        manifest.write(manifests)?;
         tracing::info!("the manifest was brought into the present format");
         Ok(Found::Sound(manifest))
     }
 
-    /// Puts the manifest in place: it is on disk, whole, when this returns.
-    pub(in crate::store) fn write(&self, root: &Path) -> Result<(), Error> {
-        put_file(root, NAME, |file| file.write_all(&self.bytes(MAGIC)))
-            .map_err(io_error("writing the manifest"))
+    /// Makes it the newest manifest: it is durable, whole, when this returns.
+    ///
+    /// # Errors
+    /// When another server took over, or it cannot be written.
+    pub(in crate::store) fn write(&self, manifests: &dyn Manifests) -> Result<(), Error> {
+        manifests.publish(&self.bytes(MAGIC))
     }
 
     fn bytes(&self, magic: [u8; 4]) -> [u8; LENGTH] {
@@ -109,36 +98,36 @@ impl Manifest {
     }
 }
 
-/// Puts the bytes that a manifest had in the third format in its place, for tests.
+/// The bytes that a manifest had in the third format, for tests.
 #[cfg(test)]
-pub(in crate::store) fn write_legacy(root: &Path, policy: &Policy) {
-    let manifest = Manifest::parse(&std::fs::read(root.join(NAME)).unwrap(), MAGIC).unwrap();
+pub(in crate::store) fn legacy(bytes: &[u8], policy: &Policy) -> Vec<u8> {
+    let manifest = Manifest::parse(bytes, MAGIC).expect("tests give a sound one");
     assert_eq!(manifest.policy, policy.digest());
-    let legacy = Manifest { policy: policy.legacy_digest(), ..manifest };
-    std::fs::write(root.join(NAME), legacy.bytes(LEGACY_MAGIC)).unwrap();
+    Manifest { policy: policy.legacy_digest(), ..manifest }.bytes(LEGACY_MAGIC).to_vec()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::backend::memory::Memory;
 
     #[test]
     fn a_manifest_is_read_whole_or_not_at_all() {
-        let dir = tempfile::tempdir().unwrap();
+        let manifests = &*Memory::default().open().manifests;
         let policy = Policy::trusting();
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::None);
+        assert_eq!(Manifest::read(manifests, &policy).unwrap(), Found::None);
         let journal = Uuid::from_u128(3);
         let manifest = Manifest { journal, generation: 4, applied: 9, lineage: 11, policy: 12 };
-        manifest.write(dir.path()).unwrap();
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Sound(manifest));
-        let good = std::fs::read(dir.path().join(NAME)).unwrap();
+        manifest.write(manifests).unwrap();
+        assert_eq!(Manifest::read(manifests, &policy).unwrap(), Found::Sound(manifest));
+        let good = manifests.newest().unwrap().unwrap();
         for at in 0..good.len() {
             let mut bad = good.clone();
             bad[at] ^= 32;
-            std::fs::write(dir.path().join(NAME), &bad).unwrap();
-            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Damaged, "byte {at}");
-            std::fs::write(dir.path().join(NAME), &good[..at]).unwrap();
-            assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Damaged, "cut at {at}");
+            manifests.publish(&bad).unwrap();
+            assert_eq!(Manifest::read(manifests, &policy).unwrap(), Found::Damaged, "byte {at}");
+            manifests.publish(&good[..at]).unwrap();
+            assert_eq!(Manifest::read(manifests, &policy).unwrap(), Found::Damaged, "cut at {at}");
         }
     }
 
@@ -164,19 +153,19 @@ mod tests {
     /// Catches: an update of the service that folds every map anew, or that takes any old manifest for current.
     #[test]
     fn a_manifest_of_the_third_format_is_current_under_its_own_policy_only() {
-        let dir = tempfile::tempdir().unwrap();
+        let manifests = &*Memory::default().open().manifests;
         let policy = Policy::trusting();
         let other = Policy { publish_contributors: 2, ..policy };
         let journal = Uuid::from_u128(3);
         // Hard-coded: what a service of that time wrote.
         let legacy = Manifest { journal, generation: 4, applied: 9, lineage: 11, policy: LEGACY_TRUSTING };
-        std::fs::write(dir.path().join(NAME), legacy.bytes(LEGACY_MAGIC)).unwrap();
-        assert_eq!(Manifest::read(dir.path(), &other).unwrap(), Found::Sound(legacy));
-        let bytes = std::fs::read(dir.path().join(NAME)).unwrap();
+        manifests.publish(&legacy.bytes(LEGACY_MAGIC)).unwrap();
+        assert_eq!(Manifest::read(manifests, &other).unwrap(), Found::Sound(legacy));
+        let bytes = manifests.newest().unwrap().unwrap();
         assert_eq!(bytes[..4], LEGACY_MAGIC, "under another policy it stays");
         let current = Manifest { policy: policy.digest(), ..legacy };
-        assert_eq!(Manifest::read(dir.path(), &policy).unwrap(), Found::Sound(current));
-        let bytes = std::fs::read(dir.path().join(NAME)).unwrap();
+        assert_eq!(Manifest::read(manifests, &policy).unwrap(), Found::Sound(current));
+        let bytes = manifests.newest().unwrap().unwrap();
         assert_eq!(Manifest::parse(&bytes, MAGIC), Some(current), "it is rewritten");
     }
 

@@ -1,5 +1,5 @@
-//! Tiles in sled, which is not trusted: every tile carries its own checksum, and with every change goes,
-//! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that sled lost, or
+//! Tiles in a table, which is not trusted: every tile carries its own checksum, and with every change goes,
+//! in one batch, how far the journal is folded and a digest of all tiles' versions. Tiles that it lost, or
 //! has from another time, are noticed by it; then all are folded again.
 //!
 //! ```text
@@ -10,83 +10,63 @@
 //! ```
 
 use std::collections::HashMap;
-use std::path::Path;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockWriteGuard};
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockWriteGuard};
 
 use echofix_core::geo::TileId;
 use echofix_core::tile::{self, Tile};
-use sled::IVec;
-use uuid::Uuid;
 
-use super::attempt::{TilesError, caught};
+use super::attempt::TilesError;
 use super::catalog::Catalog;
 use super::key::key;
 use super::write_buffer::{Folded, Source};
 use super::{pieces, quarantine};
 use crate::store::api::QuarantinedRecord;
 use crate::store::api::{Error, TileInfo};
+use crate::store::backend::tables::{Batch, TileTable};
 use crate::store::checksum::{SUM, seal, sealed};
-use crate::store::local::sled_instance::Sled;
 
-/// Where the journal the tiles were folded from is named.
-const JOURNAL: &[u8] = b"journal";
 /// Where it says how far the tiles are folded.
 const STATE: &[u8] = b"state";
 /// Bytes of a value between its checksum and the tile.
 const HEAD: usize = 18;
 
-/// The tile store. Once sled refused a write it is broken: nothing more is written, and what is read is as it was before.
+/// The tile store. Once its table failed nothing more is written, and what is read is as it was before.
 pub(in crate::store) struct TileStore {
-    /// Apart, because after an error it must not be dropped: see [`Sled::drop`].
-    sled: Sled,
-    /// Why nothing is written any more.
-    broken: OnceLock<String>,
-    /// Values as they were before a write that failed, of which sled may hold any part; `None` for what was not there.
+    table: Box<dyn TileTable>,
+    /// Values as they were before a write, until all of it is durable; `None` for what was not there. After a write that
+    /// failed, of which the table may hold any part, they stay.
     before: RwLock<HashMap<TileId, Option<Vec<u8>>>>,
     /// Held by who changes tiles, and by who must see them all of one time.
     changing: Mutex<()>,
-    /// Held for writing while a batch is applied: no reader sees half of a tile's pieces.
-    whole: RwLock<()>,
 }
 
 impl TileStore {
-    pub(in crate::store) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        Ok(Self {
-            sled: Sled::open(dir, cache_bytes)?,
-            broken: OnceLock::new(),
-            before: RwLock::default(),
-            changing: Mutex::default(),
-            whole: RwLock::default(),
-        })
+    pub(in crate::store) fn of(table: Box<dyn TileTable>) -> Self {
+        Self { table, before: RwLock::default(), changing: Mutex::default() }
     }
 
-    /// The journal these tiles were folded from; `None` in a new store.
-    pub(in crate::store) fn journal(&self) -> Result<Option<Uuid>, Error> {
-        Ok(self.sled.db().get(JOURNAL)?.map(|bytes| Uuid::from_slice(&bytes).unwrap_or_default()))
-    }
-
-    pub(super) fn set_journal(&self, journal: Uuid) -> Result<(), Error> {
-        self.noticed(self.sled.db().insert(JOURNAL, &journal.as_bytes()[..]))?;
-        Ok(())
+    pub(in crate::store) fn table(&self) -> &dyn TileTable {
+        &*self.table
     }
 
     /// All tiles and how far they are folded; `Err` says what is wrong with them. Nothing is folded meanwhile.
     pub(in crate::store) fn check(&self) -> Result<(Catalog, u64), TilesError> {
         let _unchanged = self.changing();
         let mut catalog = Catalog::default();
-        let mut after = IVec::default();
-        while let Some((key, _)) = self.tree().get_gt(&after).map_err(Error::from)? {
-            after = if let Some(id) = pieces::tile_of(&key) {
+        let mut from = Vec::new();
+        while let Some(entry) = self.table.scan(&from).next() {
+            let (key, _) = entry?;
+            from = if let Some(id) = pieces::tile_of(&key) {
                 let value = self.value(id)?.unwrap_or_default();
                 catalog.put(parse(id, &value)?.info);
-                IVec::from(&pieces::last_key(id)[..])
+                after(&pieces::last_key(id))
             } else if key == STATE || quarantine::is_key(&key) {
-                key
+                after(&key)
             } else {
-                return Err(TilesError::UnknownKey(key.to_vec()));
+                return Err(TilesError::UnknownKey(key));
             };
         }
-        match self.tree().get(STATE).map_err(Error::from)? {
+        match self.table.get(STATE)? {
             None => Err(TilesError::NoState),
             Some(state) => match parse_state(&state) {
                 Some((folded, digest)) if digest == catalog.digest() => Ok((catalog, folded)),
@@ -122,42 +102,28 @@ impl TileStore {
     ) -> Result<(), Error> {
         let _changing = self.changing();
         if let Some(reason) = self.broken() {
-            return Err(Error::Broken(reason.to_owned()));
+            return Err(Error::Broken(reason));
         }
-        let mut batch = sled::Batch::default();
+        let mut batch = Batch::default();
         let mut before = HashMap::with_capacity(values.len());
         for TileValue { bytes, info } in values {
             before.insert(info.id, self.value(info.id)?);
-            pieces::put(self.tree(), &mut batch, info.id, &bytes)?;
+            pieces::put(self.table(), &mut batch, info.id, &bytes)?;
         }
         for quarantined in quarantined {
-            batch.insert(quarantine::key(quarantined.number), quarantine::encode(quarantined));
+            batch.put(&quarantine::key(quarantined.number), &quarantine::encode(quarantined));
         }
-        batch.insert(STATE, state(folded, digest));
-        let applied = {
-            // Neither lock guards anything but the order of things: a panic leaves nothing half done in memory.
-            let _whole = self.whole.write().unwrap_or_else(PoisonError::into_inner);
-            // Shown until all is on disk, so that nobody sees what a failure takes back.
-            *self.before_mut() = before;
-            caught(|| Ok(self.tree().apply_batch(batch)?))
-        };
-        let flushed = applied.and_then(|()| caught(|| Ok(self.sled.db().flush().map(drop)?)));
-        if let Err(error) = flushed {
-            let _ = self.broken.set(error.to_string());
-            self.sled.give_up();
-            return Err(Error::Broken(error.to_string()));
-        }
+        batch.put(STATE, &state(folded, digest));
+        // Shown until all is durable: nobody sees half of a tile's pieces, or what a failure takes back.
+        *self.before_mut() = before;
+        self.table.apply(batch)?;
         self.before_mut().clear();
         Ok(())
     }
 
     /// Why nothing is written any more; `None` while all is well.
-    pub(in crate::store) fn broken(&self) -> Option<&str> {
-        self.broken.get().map(String::as_str)
-    }
-
-    pub(in crate::store) fn tree(&self) -> &sled::Tree {
-        self.sled.tree()
+    pub(in crate::store) fn broken(&self) -> Option<String> {
+        self.table.broken()
     }
 
     /// The values of all tiles, as they are to be read, for a copy.
@@ -167,40 +133,30 @@ impl TileStore {
         Ok(Some(TileValue { bytes, info }))
     }
 
-    /// Remembers that sled failed.
-    fn noticed<T>(&self, outcome: Result<T, sled::Error>) -> Result<T, Error> {
-        outcome.map_err(|error| {
-            let _ = self.broken.set(error.to_string());
-            self.sled.give_up();
-            Error::from(error)
-        })
-    }
-
     /// The quarantined uploads, oldest first.
     pub(in crate::store) fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         let damaged = || Error::Damaged {
             what: "a note of a quarantined upload".to_owned(),
             reason: "its checksum does not match".to_owned(),
         };
-        let notes = self.tree().scan_prefix(quarantine::PREFIX).map(|entry| {
+        let mut notes = Vec::new();
+        for entry in self.table.scan(quarantine::PREFIX) {
             let (key, value) = entry?;
-            quarantine::decode(&key, &value).ok_or_else(damaged)
-        });
-        notes.collect()
-    }
-
-    /// Asks sled to bring everything to disk.
-    pub(in crate::store) fn flush(&self) -> Result<(), Error> {
-        self.noticed(self.sled.db().flush())?;
-        Ok(())
+            if !quarantine::is_key(&key) {
+                break;
+            }
+            notes.push(quarantine::decode(&key, &value).ok_or_else(damaged)?);
+        }
+        Ok(notes)
     }
 
     fn value(&self, id: TileId) -> Result<Option<Vec<u8>>, Error> {
-        let _whole = self.whole.read().unwrap_or_else(PoisonError::into_inner);
-        if let Some(before) = self.before.read().unwrap_or_else(PoisonError::into_inner).get(&id) {
-            return Ok(before.clone());
+        // Held while the pieces are read: no write begins meanwhile.
+        let shown = self.before.read().unwrap_or_else(PoisonError::into_inner);
+        match shown.get(&id) {
+            Some(before) => Ok(before.clone()),
+            None => pieces::get(self.table(), id),
         }
-        pieces::get(self.tree(), id)
     }
 
     fn before_mut(&self) -> RwLockWriteGuard<'_, HashMap<TileId, Option<Vec<u8>>>> {
@@ -210,6 +166,11 @@ impl TileStore {
     fn changing(&self) -> MutexGuard<'_, ()> {
         self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The first key that may come after one.
+fn after(key: &[u8]) -> Vec<u8> {
+    [key, &[0]].concat()
 }
 
 impl Source for TileStore {
@@ -301,10 +262,13 @@ fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::backend::memory::Memory;
+    use crate::store::backend::tables::{Entry, TableId, TableUse};
     use crate::store::map::key::stamp;
     use echofix_core::evidence::{CellHits, Pass, TileEvidence};
     use echofix_core::geo::Zone;
     use proptest::prelude::*;
+    use uuid::Uuid;
 
     fn id(x: i32) -> TileId {
         TileId { zone: Zone::from_epsg(32614).unwrap(), y: 2, x }
@@ -325,56 +289,72 @@ mod tests {
         TileValue::new(id(x), &folded, 1)
     }
 
+    fn tiles() -> TileStore {
+        let id = TableId { used: TableUse::Served, number: 1 };
+        TileStore::of(Memory::default().open().tables.create(id, Uuid::nil()).unwrap())
+    }
+
+    /// Puts an entry as it is, or removes it.
+    fn forced(tiles: &TileStore, key: &[u8], value: Option<&[u8]>) {
+        let mut batch = Batch::default();
+        match value {
+            Some(value) => batch.put(key, value),
+            None => batch.remove(key),
+        }
+        tiles.table().apply(batch).unwrap();
+    }
+
+    /// The pieces of a tile.
+    fn pieces(tiles: &TileStore, x: i32) -> Vec<Entry> {
+        let of_tile = |entry: &Entry| pieces::tile_of(&entry.0) == Some(id(x));
+        tiles.table().scan(&key(id(x))).map(Result::unwrap).take_while(of_tile).collect()
+    }
+
     proptest! {
         // Breaks it: leaving out the end of the value from the checksum, or skipping pieces that are not there.
         #[test]
         fn a_changed_lost_or_cut_piece_is_noticed(
             at: prop::sample::Index, piece: prop::sample::Index, bit in 0..8_u8, of_state: bool,
         ) {
-            let dir = tempfile::tempdir().unwrap();
-            let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
+            let tiles = tiles();
             let value = value(-1, 3, 8000);
             let digest = stamp(&value.info);
             tiles.put_all(vec![value], &[], 3, digest).unwrap();
             prop_assert_eq!(tiles.check().unwrap().1, 3);
-            let pieces: Vec<_> = tiles.tree().scan_prefix(key(id(-1))).keys().map(Result::unwrap).collect();
+            let pieces = pieces(&tiles, -1);
             prop_assert!(pieces.len() > 2);
-            let key = if of_state { IVec::from(STATE) } else { pieces[piece.index(pieces.len())].clone() };
-            let good = tiles.tree().get(&key).unwrap().unwrap();
+            let key = if of_state { STATE.to_vec() } else { pieces[piece.index(pieces.len())].0.clone() };
+            let good = tiles.table().get(&key).unwrap().unwrap();
             let at = at.index(good.len());
-            let mut bad = good.to_vec();
+            let mut bad = good.clone();
             bad[at] ^= 1_u8 << bit;
             for bad in [Some(&bad[..]), Some(&good[..at]), None] {
-                match bad {
-                    Some(bad) => drop(tiles.tree().insert(&key, bad).unwrap()),
-                    None => drop(tiles.tree().remove(&key).unwrap()),
-                }
+                forced(&tiles, &key, bad);
                 prop_assert!(tiles.check().is_err());
                 let damaged = |error| matches!(error, Some(Error::Damaged { .. }));
                 prop_assert!(of_state || damaged(tiles.stored(id(-1)).err()));
                 prop_assert!(of_state || damaged(tiles.folded(id(-1)).err()));
             }
-            tiles.tree().insert(&key, good).unwrap();
+            forced(&tiles, &key, Some(&good));
             prop_assert!(tiles.check().is_ok());
         }
     }
 
     #[test]
     fn a_lost_or_older_tile_and_what_nobody_knows_are_noticed() {
-        let dir = tempfile::tempdir().unwrap();
-        let tiles = TileStore::open(dir.path(), 1 << 20).unwrap();
+        let tiles = tiles();
         let digest = stamp(&value(1, 3, 1).info).wrapping_add(stamp(&value(2, 5, 1).info));
         tiles.put_all(vec![value(1, 3, 1), value(2, 5, 1)], &[], 5, digest).unwrap();
         assert!(tiles.check().is_ok());
-        let (at, piece) = tiles.tree().scan_prefix(key(id(1))).next().unwrap().unwrap();
-        tiles.tree().remove(&at).unwrap();
+        let (at, piece) = pieces(&tiles, 1).remove(0);
+        forced(&tiles, &at, None);
         assert!(tiles.check().is_err());
-        tiles.tree().insert(&at, piece).unwrap();
+        forced(&tiles, &at, Some(&piece));
         assert!(tiles.check().is_ok());
-        tiles.tree().insert(key(id(1)), value(1, 3, 1).bytes).unwrap();
+        forced(&tiles, &key(id(1)), Some(&value(1, 3, 1).bytes));
         assert!(tiles.check().is_err(), "a tile as it was stored before there were pieces");
-        tiles.tree().remove(key(id(1))).unwrap();
-        tiles.tree().insert(&at, value(1, 2, 1).bytes).unwrap();
+        forced(&tiles, &key(id(1)), None);
+        forced(&tiles, &at, Some(&value(1, 2, 1).bytes));
         assert!(tiles.check().is_err());
     }
 }

@@ -1,10 +1,11 @@
 //! A backup: a data directory as a tar archive, made while the store is in use: key, checkpoint, and the journal up
 //! to what was on disk when it began. A store that is started on what the archive holds folds the same map.
 
-use std::fs::File;
 use std::io::{self, Read, Write};
 
 use crate::store::api::{Error, io_error};
+use crate::store::backend::objects::reader;
+use crate::store::backend::owner::KEY;
 use crate::store::log::journal::BackupPart;
 use crate::store::map::context::StoreContext;
 
@@ -27,13 +28,13 @@ fn parts(shared: &StoreContext) -> Result<Vec<BackupPart>, Error> {
     let checkpoint = shared.checkpoint();
     let opening = "opening what is to be copied";
     let whole = |name: String| {
-        let file = File::open(shared.dir.root().join(&name)).map_err(io_error(opening))?;
-        let length = file.metadata().map_err(io_error(opening))?.len();
-        Ok::<_, Error>(BackupPart { name, file, length })
+        let object = shared.backend.objects.open(&name).map_err(io_error(opening))?;
+        let length = object.length().map_err(io_error(opening))?;
+        Ok::<_, Error>(BackupPart { name, object, length })
     };
-    let mut parts = vec![whole("key".to_owned())?];
-    if let Some(name) = checkpoint.path.as_ref().and_then(|path| path.file_name()) {
-        parts.push(whole(name.to_string_lossy().into_owned())?);
+    let mut parts = vec![whole(KEY.to_owned())?];
+    if let Some(name) = &checkpoint.name {
+        parts.push(whole(name.clone())?);
     }
     parts.extend(shared.journal.parts(shared.index.newest_at())?);
     Ok(parts)
@@ -41,7 +42,7 @@ fn parts(shared: &StoreContext) -> Result<Vec<BackupPart>, Error> {
 
 fn put(out: &mut dyn Write, part: BackupPart) -> io::Result<()> {
     out.write_all(&header(&part.name, part.length))?;
-    let copied = io::copy(&mut part.file.take(part.length), out)?;
+    let copied = io::copy(&mut reader(part.object)?.take(part.length), out)?;
     if copied < part.length {
         return Err(io::ErrorKind::UnexpectedEof.into());
     }

@@ -39,7 +39,7 @@ pub(in crate::store) fn snapshot(shared: &StoreContext, epoch: u64) -> Result<Sn
     in_journal(shared, epoch)?;
     let index = &shared.index;
     let mut map = InMemory::new();
-    checkpoint.visit(|id, version, encoded| {
+    checkpoint.visit(&*shared.backend.objects, |id, version, encoded| {
         let damaged = |error: tile::DecodeError| Error::Damaged {
             what: format!("tile {id} of the checkpoint"),
             reason: error.to_string(),
@@ -51,12 +51,12 @@ pub(in crate::store) fn snapshot(shared: &StoreContext, epoch: u64) -> Result<Sn
         Ok(())
     })?;
     let exclusion = &index.exclusion(epoch);
-    let mut vetting = Vetting::new(shared.policy.vetting);
+    let mut vetting = Vetting::new(shared.settings.policy.vetting);
     let records = CountedRecords {
         journal: &shared.journal,
         index,
         exclusion,
-        buffer_tiles: shared.write_buffer_tiles,
+        buffer_tiles: shared.settings.write_buffer_tiles,
     };
     let go_on = |_| !index.ended();
     replay(&records, &mut map, checkpoint.last, epoch, &mut vetting, go_on)?;

@@ -6,13 +6,13 @@
 //!
 //! See [`crate::store::map::stream`]; little-endian. Contributors are not in it: tiles know how many there were, not who.
 
-use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, Read, Write};
 
 use echofix_core::geo::TileId;
 use echofix_core::tile;
 use uuid::Uuid;
+
+use crate::store::backend::objects::{Objects, reader};
 
 use crate::store::api::{Error, Imported, Region, io_error};
 use crate::store::log::entry;
@@ -56,9 +56,9 @@ pub(in crate::store) fn export(
 }
 
 pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Result<Imported, Error> {
-    let received = ReceivedFile::of(shared.dir.root(), file)?;
+    let received = ReceivedFile::of(&*shared.backend.objects, file)?;
     // All of it is checked before any of it counts.
-    let header = read(&received.0, |_, _, _| Ok(()))?;
+    let header = read(&received, |_, _, _| Ok(()))?;
     let _deciding = shared.decide();
     let (mut group, mut known) = (Vec::with_capacity(GROUP), 0);
     let mut epoch = shared.index.newest();
@@ -68,43 +68,44 @@ pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Re
         epoch = written.last().map_or(epoch, |written| written.number);
         Ok::<_, Error>(())
     };
-    read(&received.0, |file, id, encoded| {
+    read(&received, |file, id, encoded| {
         if shared.index.imported(file, id) {
             known += 1;
             return Ok(());
         }
-        group.push(entry::import(shared.clock.today(), file, id, &encoded));
+        group.push(entry::import(shared.settings.clock.today(), file, id, &encoded));
         if group.len() == GROUP { write(&mut group) } else { Ok(()) }
     })?;
     write(&mut group)?;
     Ok(Imported { file: header.file, tiles: header.tiles, known, epoch })
 }
 
-/// A file that is read twice; removed when dropped, and at the next start.
-struct ReceivedFile(PathBuf);
+/// A file that is read twice; removed when dropped.
+struct ReceivedFile<'a> {
+    objects: &'a dyn Objects,
+    name: String,
+}
 
-impl ReceivedFile {
-    fn of(root: &Path, file: &mut dyn Read) -> Result<Self, Error> {
-        let received = Self(root.join(format!("import-{}.new", Uuid::now_v7())));
-        let mut receive = || {
-            let mut out = BufWriter::new(File::create(&received.0)?);
-            io::copy(file, &mut out)?;
-            out.flush()
-        };
-        receive().map_err(io_error("receiving a region"))?;
+impl<'a> ReceivedFile<'a> {
+    fn of(objects: &'a dyn Objects, file: &mut dyn Read) -> Result<Self, Error> {
+        let received = Self { objects, name: format!("import-{}.new", Uuid::now_v7()) };
+        let put = objects.put_new(&received.name, &mut |out| io::copy(file, out).map(drop));
+        put.map_err(io_error("receiving a region"))?;
         Ok(received)
     }
 }
 
-impl Drop for ReceivedFile {
+impl Drop for ReceivedFile<'_> {
     fn drop(&mut self) {
-        // What is left is removed at the next start.
-        let _ = std::fs::remove_file(&self.0);
+        if let Err(error) = self.objects.delete(&self.name) {
+            let path = self.objects.locate(&self.name);
+            tracing::warn!(path, %error, "a received region could not be removed");
+        }
     }
 }
 
 fn read(
-    path: &Path,
+    received: &ReceivedFile<'_>,
     mut each: impl FnMut(Uuid, TileId, Vec<u8>) -> Result<(), Error>,
 ) -> Result<Header, Error> {
     let failed = |error: io::Error| match error.kind() {
@@ -112,7 +113,8 @@ fn read(
         io::ErrorKind::UnexpectedEof => Error::Unusable("the file of the region ends too early".to_owned()),
         _ => io_error("reading a region")(error),
     };
-    let mut input = ChecksummedReader::new(BufReader::new(File::open(path).map_err(failed)?));
+    let opened = received.objects.open(&received.name).and_then(reader).map_err(failed)?;
+    let mut input = ChecksummedReader::new(opened);
     if input.array().map_err(failed)? != MAGIC {
         return Err(failed(bad("it does not begin as one")));
     }

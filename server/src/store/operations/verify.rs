@@ -15,7 +15,7 @@ pub(in crate::store) fn verified(shared: &StoreContext, replay: bool) -> Result<
     let mut found = Verified::default();
     verify_journal(shared, &mut found);
     verify_checkpoint(shared, &mut found);
-    found.damage.extend(shared.dir.key_damage());
+    found.damage.extend(shared.backend.pseudonyms.damage());
     verify_tiles(&*shared.readable()?, &mut found);
     if replay {
         compare(shared, &mut found)?;
@@ -43,7 +43,7 @@ fn verify_journal(shared: &StoreContext, found: &mut Verified) {
 
 fn verify_checkpoint(shared: &StoreContext, found: &mut Verified) {
     let mut tiles = 0;
-    let outcome = shared.checkpoint().visit(|id, _, encoded| {
+    let outcome = shared.checkpoint().visit(&*shared.backend.objects, |id, _, encoded| {
         tiles += 1;
         let damaged = |error: tile::DecodeError| Error::Damaged {
             what: format!("tile {id} of the checkpoint"),

@@ -163,7 +163,8 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     std::fs::write(&marker, "these tiles").unwrap();
     let manifest = dir.path().join("manifest");
     let current = std::fs::read(&manifest).unwrap();
-    map::manifest::write_legacy(dir.path(), &vetted);
+    let legacy = map::manifest::legacy(&std::fs::read(&manifest).unwrap(), &vetted);
+    std::fs::write(&manifest, legacy).unwrap();
     assert_ne!(std::fs::read(&manifest).unwrap(), current);
     let store = with(vetted);
     assert_eq!(store.progress().borrow().state, MapStatus::Serving, "nothing is folded anew");
@@ -171,7 +172,8 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     assert_eq!(std::fs::read(&manifest).unwrap(), current, "it is rewritten");
     drop(store);
 
-    map::manifest::write_legacy(dir.path(), &vetted);
+    let legacy = map::manifest::legacy(&std::fs::read(&manifest).unwrap(), &vetted);
+    std::fs::write(&manifest, legacy).unwrap();
     let store = with(Policy { publish_contributors: 7, ..vetted });
     assert_ne!(store.lineage(), lineage);
     caught_up(&store);

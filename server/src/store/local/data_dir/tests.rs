@@ -2,9 +2,10 @@ use std::os::unix::fs::PermissionsExt;
 
 use super::super::marker::mark;
 use super::*;
+use crate::store::backend::owner::Fence as _;
 
 fn hash(dir: &Path) -> u64 {
-    DataDir::open(dir).unwrap().contributor("car-7")
+    DataDir::open(dir).unwrap().hash("car-7")
 }
 
 /// Catches: two servers on one directory after somebody removed the lock file.
@@ -34,7 +35,7 @@ fn a_journal_belongs_to_one_server_at_a_time() {
 fn who_lost_the_directory_notices() {
     let dir = tempfile::tempdir().unwrap();
     let first = DataDir::open(dir.path()).unwrap();
-    let second = Fence::at(dir.path());
+    let second = Fence::take(dir.path()).unwrap();
     assert!(matches!(first.fence().check(), Err(Error::Stopped(_))));
     assert!(second.check().is_ok());
     fs::remove_file(dir.path().join("writer")).unwrap();
@@ -70,9 +71,9 @@ fn a_damaged_or_missing_key_is_mended_from_its_copy() {
         fs::remove_file(&path).unwrap();
         assert_eq!(hash(dir.path()), was);
         let open = DataDir::open(dir.path()).unwrap();
-        assert!(open.key_damage().is_empty());
+        assert!(open.damage().is_empty());
         fs::write(&path, "short").unwrap();
-        assert_eq!(open.key_damage().len(), 1);
+        assert_eq!(open.damage().len(), 1);
         fs::write(&path, &good).unwrap();
     }
     for name in ["key", "key-copy"] {
