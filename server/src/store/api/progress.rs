@@ -24,7 +24,7 @@ pub struct MapProgress {
     /// A new generation of the map that is being made, under a control. What is served meanwhile, if
     /// anything, does not show the control yet.
     pub building: Option<Building>,
-    /// The journal accepts nothing any more, see [`Error::Stopped`].
+    /// The journal accepts nothing any more, see [`super::Error::Stopped`].
     pub stopped: bool,
     /// The journal could not be written the last time; it is tried again.
     pub refusing: bool,

@@ -39,7 +39,7 @@ enum Found {
 impl ContributorKey {
     /// The key of a directory. It is made where there is none and `needed` does not say that records name
     /// contributors by it.
-    pub(in crate::store) fn open(root: &Path, needed: bool) -> Result<Self, Error> {
+    pub(super) fn open(root: &Path, needed: bool) -> Result<Self, Error> {
         let (key, copy) = (found(root, NAME)?, found(root, COPY)?);
         match (key, copy) {
             (Found::Sound(key), Found::Sound(copy)) if key == copy => Ok(Self(key)),
@@ -60,14 +60,14 @@ impl ContributorKey {
     }
 
     /// SipHash-2-4 of a contributor's pseudonym.
-    pub(in crate::store) fn hash(&self, pseudonym: &str) -> u64 {
+    pub(super) fn hash(&self, pseudonym: &str) -> u64 {
         let mut hasher = SipHasher24::new_with_key(&self.0);
         hasher.write(pseudonym.as_bytes());
         hasher.finish()
     }
 
     /// What is wrong on disk, in sentences.
-    pub(in crate::store) fn damage(&self, root: &Path) -> Vec<String> {
+    pub(super) fn damage(&self, root: &Path) -> Vec<String> {
         let wrong = |name: &&&str| !matches!(found(root, name), Ok(Found::Sound(key)) if key == self.0);
         let sentence = |name: &str| {
             format!("{} is missing or damaged; a restart mends it from its copy", root.join(name).display())

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! Nothing is deleted or overwritten here that this store did not make: its directories of tiles hold a marker
-//! ([`marker`]), and files that are being written have names of their own ([`files`]).
+//! ([`super::marker`]), and files that are being written have names of their own ([`super::files`]).
 
 use std::fs;
 use std::os::unix::fs::DirBuilderExt;
@@ -47,7 +47,7 @@ pub(super) struct DataDir {
 
 impl DataDir {
     /// Opens a data directory, creating what is missing. Nothing is created in one that lost its journal.
-    pub(in crate::store) fn open(root: &Path) -> Result<Self, Error> {
+    pub(super) fn open(root: &Path) -> Result<Self, Error> {
         let creating = "creating the data directory";
         let mut builder = fs::DirBuilder::new();
         builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
@@ -67,7 +67,7 @@ impl DataDir {
         Ok(Self { root: root.to_owned(), key, fence, _locks: locks })
     }
 
-    pub(in crate::store) fn journal(&self) -> PathBuf {
+    pub(super) fn journal(&self) -> PathBuf {
         self.root.join("journal")
     }
 
@@ -76,12 +76,12 @@ impl DataDir {
     }
 
     /// Tells whether another server took the directory over.
-    pub(in crate::store) fn fence(&self) -> &Fence {
+    pub(super) fn fence(&self) -> &Fence {
         &self.fence
     }
 
     /// The directory of a table.
-    pub(in crate::store) fn table(&self, id: TableId) -> PathBuf {
+    pub(super) fn table(&self, id: TableId) -> PathBuf {
         let prefix = match id.used {
             TableUse::Served => TILES,
             TableUse::Scratch => SCRATCH,
@@ -103,12 +103,7 @@ impl DataDir {
     /// Removes tiles that this store made and no longer needs, and files it did not finish. `replaced` says that the
     /// manifest is sound: then other generations of its journal are older ones, or unfinished. Without it they may hold
     /// what the journal lost, and are set aside.
-    pub(in crate::store) fn clean(
-        &self,
-        journal: Uuid,
-        current: Option<u64>,
-        replaced: bool,
-    ) -> Result<(), Error> {
+    pub(super) fn clean(&self, journal: Uuid, current: Option<u64>, replaced: bool) -> Result<(), Error> {
         files::remove_unfinished(&self.root)?;
         let current = current.map(|number| format!("{TILES}{number}"));
         for name in files::names(&self.root)? {
@@ -132,7 +127,7 @@ impl DataDir {
     }
 
     /// Moves what contradicts the journal out of the way. It is never deleted.
-    pub(in crate::store) fn set_aside(&self, name: &str, why: &str) -> Result<(), Error> {
+    pub(super) fn set_aside(&self, name: &str, why: &str) -> Result<(), Error> {
         let dir = self.root.join(SET_ASIDE);
         let doing = "setting aside what contradicts the journal";
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&dir).map_err(at(&dir, doing))?;
@@ -160,7 +155,7 @@ impl Pseudonyms for DataDir {
 }
 
 /// Names the file in what is told of a failure.
-pub(in crate::store) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
+pub(super) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
     let path = path.display().to_string();
     move |error| io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
 }

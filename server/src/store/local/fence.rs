@@ -17,7 +17,7 @@ const NAME: &str = "writer";
 
 /// The mark of one opening of a data directory.
 #[derive(Debug, Clone)]
-pub(in crate::store) struct Fence(Arc<Mark>);
+pub(super) struct Fence(Arc<Mark>);
 
 #[derive(Debug)]
 struct Mark {
@@ -28,7 +28,7 @@ struct Mark {
 
 impl Fence {
     /// Takes a directory over.
-    pub(in crate::store) fn take(root: &Path) -> Result<Self, Error> {
+    pub(super) fn take(root: &Path) -> Result<Self, Error> {
         let path = root.join(NAME);
         // An empty file is one even where the disk is full.
         let file = put_file_with(root, NAME, 0o600, |_| Ok(()));

@@ -12,7 +12,7 @@ pub(super) struct Locks(Vec<File>);
 
 impl Locks {
     /// Locks a data directory. The file is for servers of before the directory itself was locked.
-    pub(in crate::store) fn of(root: &Path) -> Result<Self, Error> {
+    pub(super) fn of(root: &Path) -> Result<Self, Error> {
         let mut locks = Self(Vec::new());
         locks.hold(root)?;
         let path = root.join("lock");
@@ -27,7 +27,7 @@ impl Locks {
     }
 
     /// Locks a directory, too. Some network file systems lock no directories; there the lock file and the fence remain.
-    pub(in crate::store) fn hold(&mut self, dir: &Path) -> Result<(), Error> {
+    pub(super) fn hold(&mut self, dir: &Path) -> Result<(), Error> {
         let file = File::open(dir).map_err(at(dir, "opening a directory to lock it"))?;
         match file.try_lock() {
             Ok(()) => self.0.push(file),

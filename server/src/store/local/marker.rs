@@ -27,7 +27,7 @@ pub(super) fn mark(dir: &Path, journal: Uuid) -> io::Result<()> {
 }
 
 /// The journal that the tiles of a directory were made from; `None` where nothing sound says so.
-pub(in crate::store) fn marked(dir: &Path) -> Option<Uuid> {
+pub(super) fn marked(dir: &Path) -> Option<Uuid> {
     let bytes: [u8; LENGTH] = fs::read(dir.join(NAME)).ok()?.try_into().ok()?;
     let journal = sealed(&bytes[4..], &[])?;
     (bytes[..4] == MAGIC).then(|| Uuid::from_slice(journal).ok())?

@@ -12,7 +12,7 @@ use crate::store::backend::objects::{Objects, Readable};
 pub(super) struct LocalObjects(PathBuf);
 
 impl LocalObjects {
-    pub(in crate::store) fn of(dir: &Path) -> Self {
+    pub(super) fn of(dir: &Path) -> Self {
         Self(dir.to_owned())
     }
 }

@@ -13,7 +13,7 @@ use crate::store::backend::segments::{HEADER, Listed, Medium, Segments, first_of
 pub(super) struct LocalSegments(PathBuf);
 
 impl LocalSegments {
-    pub(in crate::store) fn of(dir: &Path) -> Self {
+    pub(super) fn of(dir: &Path) -> Self {
         Self(dir.to_owned())
     }
 
@@ -71,7 +71,7 @@ impl Medium for File {
 }
 
 /// Is there any segment?
-pub(in crate::store) fn any(dir: &Path) -> Result<bool, Error> {
+pub(super) fn any(dir: &Path) -> Result<bool, Error> {
     Ok(dir.is_dir() && !listed(dir).map_err(io_error("listing the journal"))?.is_empty())
 }
 

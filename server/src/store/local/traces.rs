@@ -12,7 +12,7 @@ use crate::store::api::Error;
 
 /// # Errors
 /// When something in the directory was made from a journal, which is not there.
-pub(in crate::store) fn none(root: &Path, journal: &Path) -> Result<(), Error> {
+pub(super) fn none(root: &Path, journal: &Path) -> Result<(), Error> {
     let found: Vec<String> = files::names(root)?.into_iter().filter(|name| is_trace(root, name)).collect();
     if found.is_empty() {
         return Ok(());

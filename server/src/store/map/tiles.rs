@@ -262,6 +262,7 @@ fn damaged(id: TileId, reason: &dyn std::fmt::Display) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::backend::faulty::{Call, Fault, Faults};
     use crate::store::backend::memory::Memory;
     use crate::store::backend::tables::{Entry, TableId, TableUse};
     use crate::store::map::key::stamp;
@@ -356,5 +357,24 @@ mod tests {
         forced(&tiles, &key(id(1)), None);
         forced(&tiles, &at, Some(&value(1, 2, 1).bytes));
         assert!(tiles.check().is_err());
+    }
+
+    /// Breaks it: reading the table as it is after a batch that failed.
+    #[test]
+    fn after_a_write_that_failed_the_tiles_are_as_before() {
+        for fault in [Fault::Torn, Fault::LostAnswer, Fault::Error] {
+            let faults = Faults::default();
+            let table = TableId { used: TableUse::Served, number: 1 };
+            let tables = faults.around(Memory::default().open()).tables;
+            let tiles = TileStore::of(tables.create(table, Uuid::nil()).unwrap());
+            tiles.put_all(vec![value(1, 3, 9000), value(2, 3, 9000)], &[], 3, 0).unwrap();
+            faults.name(Call::Apply(TableUse::Served), fault);
+            let failed = tiles.put_all(vec![value(1, 4, 9999), value(2, 4, 9999), value(3, 4, 1)], &[], 4, 0);
+            assert!(failed.is_err() && tiles.broken().is_some(), "{fault:?}");
+            faults.heal();
+            let versions = [1, 2, 3].map(|x| tiles.stored(id(x)).unwrap().map(|(version, _)| version));
+            assert_eq!(versions, [Some(3), Some(3), None], "{fault:?}");
+            assert!(matches!(tiles.put_all(Vec::new(), &[], 5, 0), Err(Error::Broken(_))), "for good");
+        }
     }
 }

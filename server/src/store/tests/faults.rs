@@ -192,8 +192,7 @@ fn happenings() -> impl Strategy<Value = Vec<Happening>> {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
-    // Breaks it: acknowledging before the sync or the fence's check, reading tiles of a table that failed as they are,
-    // serving a generation before the manifest names it, deleting what is compacted before that.
+    // Breaks it: acknowledging before the sync.
     #[test]
     fn what_was_acknowledged_is_folded_once_whatever_fails(happenings in happenings()) {
         let mut fleet = Fleet::new();
