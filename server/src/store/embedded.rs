@@ -42,7 +42,7 @@ impl EmbeddedStore {
     /// # Errors
     /// When the directory is in use, the disk refuses, or an acknowledged upload is damaged.
     pub fn open(options: &Options) -> Result<Self, Error> {
-        Self::over(local::open(&options.data_dir, options.cache_bytes)?, options.settings())
+        Self::over(local::open(&options.data_dir, options.table, options.cache_bytes)?, options.settings())
     }
 
     /// Opens what a backend holds.

@@ -7,22 +7,22 @@
 //! The layers. An arrow points to what is used, and none points back up; each layer may also use what its arrows lead to:
 //!
 //! ```text
-//!   embedded ──▶ options
-//!    │      │
-//!    ▼      │
-//!  operations
-//!    │      │
-//!    ▼      │
-//!   map     │
-//!    │      │
-//!    ▼      ▼
-//!   log   local
-//!    │      │
-//!    ▼      ▼
-//!   backend, checksum
-//!       │
-//!       ▼
-//!      api
+//!      embedded
+//!      │      │
+//!      ▼      │
+//!  operations │
+//!      │      │
+//!      ▼      ▼
+//!     map   local
+//!      │      │
+//!      ▼      │
+//!     log     │
+//!      │      │
+//!      ▼      ▼
+//!  backend, checksum
+//!         │
+//!         ▼
+//!        api
 //! ```
 //!
 //! - [`api`]: [`MapStore`], [`Operations`], and their values: what every storage engine offers.
@@ -32,7 +32,7 @@
 //! - [`map`]: tiles, folded from the journal: generations, vetting, manifest, checkpoint.
 //! - [`operations`]: the map's past, regions, backups, verification.
 //! - [`local`]: the backend of one machine: a data directory, with sled in it. No other layer knows a path.
-//! - [`EmbeddedStore`]: puts them together, as its [`Options`] say.
+//! - `embedded` and `options`: [`EmbeddedStore`] puts them together, as its [`Options`] say.
 //!
 //! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
 //! the controls among them exclude. Generations of tiles are that function's values, stored.
@@ -53,5 +53,6 @@ mod tests;
 
 pub use api::*;
 pub use embedded::EmbeddedStore;
+pub use local::TableEngine;
 pub use map::policy::Policy;
 pub use options::Options;

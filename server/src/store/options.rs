@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::store::api::StoreClock;
+use crate::store::local::TableEngine;
 use crate::store::map::context::Settings;
 use crate::store::map::policy::Policy;
 
@@ -15,7 +16,9 @@ const RETRY: Duration = Duration::from_secs(2);
 pub struct Options {
     /// The data directory; made if missing.
     pub data_dir: PathBuf,
-    /// Memory for sled's cache, bytes; twice that while a new generation of tiles is made.
+    /// What tiles are stored in.
+    pub table: TableEngine,
+    /// Memory for the tile store's cache, bytes; twice that while a new generation of tiles is made.
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
@@ -35,6 +38,7 @@ impl Options {
     pub fn new(data_dir: PathBuf, policy: Policy) -> Self {
         Self {
             data_dir,
+            table: TableEngine::default(),
             cache_bytes: 256 << 20,
             segment_bytes: 64 << 20,
             write_buffer_tiles: 2048,

@@ -45,7 +45,7 @@ fn open(dir: &Path) -> EmbeddedStore {
 /// A store in a directory whose calls may fail.
 fn open_failing(dir: &Path, faults: &Faults) -> EmbeddedStore {
     let options = options(dir);
-    let backend = local::open(dir, options.cache_bytes).unwrap();
+    let backend = local::open(dir, options.table, options.cache_bytes).unwrap();
     EmbeddedStore::over(faults.around(backend), options.settings()).unwrap()
 }
 
@@ -195,6 +195,19 @@ fn tiles_that_an_older_version_stored_in_another_layout_are_rebuilt() {
     older.open_tree("tiles").unwrap().insert([0; 10], "a whole tile").unwrap();
     drop(older);
     assert_eq!(map(&open(dir.path())), model(&uploads));
+}
+
+#[test]
+fn tiles_of_another_table_are_folded_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(20);
+    let tables = [TableEngine::Sled, TableEngine::Redb, TableEngine::Redb, TableEngine::Sled];
+    for (table, sent) in tables.into_iter().zip([5, 10, 15, 20]) {
+        let store = EmbeddedStore::open(&Options { table, ..options(dir.path()) }).unwrap();
+        commit_all(&store, &uploads[sent - 5..sent]);
+        assert_eq!(map(&store), model(&uploads[..sent]), "{table:?}");
+        assert_eq!(store.verify(true).unwrap().damage, [""; 0]);
+    }
 }
 
 #[test]

@@ -1,16 +1,12 @@
 //! A table of tiles in sled, in a directory of its own.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
-use std::sync::OnceLock;
-
 use uuid::Uuid;
 
-use super::marker::{mark, marked};
+use super::fuse::Fuse;
 use super::room;
 use super::sled_instance::Sled;
 use super::table_dir::TableDir;
-use crate::store::api::{Error, io_error};
+use crate::store::api::Error;
 use crate::store::backend::tables::{Batch, Entries, TileTable};
 
 /// Where the journal the tiles were folded from is named: apart from them.
@@ -20,39 +16,20 @@ const JOURNAL: &[u8] = b"journal";
 pub(super) struct SledTable {
     /// After an error it must not be dropped as any value: see [`Sled::drop`].
     sled: Sled,
-    /// Why nothing is written any more.
-    broken: OnceLock<String>,
+    fuse: Fuse,
     /// Declared last: goes when sled is closed.
     dir: TableDir,
 }
 
 impl SledTable {
-    /// A table in a directory that was just made: it goes again where this fails.
-    pub(in crate::store) fn create(path: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let dir = TableDir::of(path);
-        let sled = Sled::open(path, cache_bytes).inspect_err(|_| dir.retire())?;
-        Ok(Self { sled, broken: OnceLock::new(), dir })
+    /// The table of a directory, made if there is none.
+    pub(super) fn open(dir: TableDir, cache_bytes: u64) -> Result<Self, Error> {
+        let sled = Sled::open(dir.path(), cache_bytes).inspect_err(|_| dir.forget_new())?;
+        Ok(Self { sled, fuse: Fuse::default(), dir })
     }
 
-    /// A table as it was left.
-    pub(in crate::store) fn open(path: &Path, cache_bytes: u64) -> Result<Self, Error> {
-        let sled = Sled::open(path, cache_bytes)?;
-        Ok(Self { sled, broken: OnceLock::new(), dir: TableDir::of(path) })
-    }
-
-    /// Writes, unless an earlier write failed. sled panics on some damaged files.
     fn write(&self, work: impl FnOnce() -> Result<(), sled::Error>) -> Result<(), Error> {
-        if let Some(reason) = self.broken() {
-            return Err(Error::Broken(reason));
-        }
-        let failure = match catch_unwind(AssertUnwindSafe(work)) {
-            Ok(Ok(())) => return Ok(()),
-            Ok(Err(error)) => Error::from(error),
-            Err(_) => Error::Broken("it panicked".to_owned()),
-        };
-        let _ = self.broken.set(failure.to_string());
-        self.sled.give_up();
-        Err(failure)
+        self.fuse.write(|| Ok(work()?)).inspect_err(|_| self.sled.give_up())
     }
 }
 
@@ -99,7 +76,7 @@ impl TileTable for SledTable {
     }
 
     fn broken(&self) -> Option<String> {
-        self.broken.get().cloned()
+        self.fuse.broken()
     }
 
     fn room_for(&self, bytes: u64) -> Result<(), Error> {
@@ -107,11 +84,7 @@ impl TileTable for SledTable {
     }
 
     fn adopt(&self, journal: Uuid) -> Result<(), Error> {
-        // Of before there were markers.
-        match marked(self.dir.path()) {
-            Some(_) => Ok(()),
-            None => mark(self.dir.path(), journal).map_err(io_error("marking tiles")),
-        }
+        self.dir.adopt(journal)
     }
 
     fn retire(&self) {

@@ -6,20 +6,50 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use uuid::Uuid;
+
+use super::marker::{mark, marked};
+use crate::store::api::{Error, io_error};
+
 /// Attempts to remove a directory that sled's threads are just leaving.
 const REMOVALS: usize = 100;
 
 pub(super) struct TableDir {
     path: PathBuf,
+    /// It was just made.
+    new: bool,
     retired: AtomicBool,
 }
 
 impl TableDir {
-    pub(in crate::store) fn of(path: &Path) -> Self {
-        Self { path: path.to_owned(), retired: AtomicBool::new(false) }
+    /// A directory that is there.
+    pub(super) fn of(path: &Path) -> Self {
+        Self { path: path.to_owned(), new: false, retired: AtomicBool::new(false) }
     }
 
-    pub(in crate::store) fn path(&self) -> &Path {
+    /// A new directory, marked as made from a journal; nothing may be in its place.
+    pub(super) fn create(path: &Path, journal: Uuid) -> Result<Self, Error> {
+        let made = fs::create_dir(path).and_then(|()| mark(path, journal));
+        made.map_err(io_error("making a directory for tiles"))?;
+        Ok(Self { path: path.to_owned(), new: true, retired: AtomicBool::new(false) })
+    }
+
+    /// Its table could not be opened: a new directory goes again.
+    pub(super) fn forget_new(&self) {
+        if self.new {
+            self.retire();
+        }
+    }
+
+    /// Marks a directory of before there were markers.
+    pub(super) fn adopt(&self, journal: Uuid) -> Result<(), Error> {
+        match marked(&self.path) {
+            Some(_) => Ok(()),
+            None => mark(&self.path, journal).map_err(io_error("marking tiles")),
+        }
+    }
+
+    pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
@@ -28,7 +58,7 @@ impl TableDir {
     }
 
     /// Removes it once this is dropped.
-    pub(in crate::store) fn retire(&self) {
+    pub(super) fn retire(&self) {
         self.retired.store(true, Ordering::Release);
     }
 }
