@@ -66,7 +66,7 @@ pub(in crate::store) struct StoreContext {
     served: RwLock<Option<Arc<Generation>>>,
     /// Held for writing while compacted records go.
     checkpoint: RwLock<Checkpoint>,
-    /// Uploads in the checkpoint.
+    /// Uploads that only the checkpoint has.
     pub(in crate::store) compacted_uploads: AtomicU64,
     /// Tells that the folding thread works.
     pub(in crate::store) beat: Heartbeat,
@@ -85,6 +85,8 @@ impl StoreContext {
         progress: watch::Sender<MapProgress>,
         (served, checkpoint): (Option<Arc<Generation>>, Checkpoint),
     ) -> Self {
+        // Until they are deleted, records that the checkpoint stands for are in the index, too.
+        let twice = index.uploads_within(0, checkpoint.last);
         Self {
             settings,
             journal_id,
@@ -93,7 +95,7 @@ impl StoreContext {
             index,
             progress,
             served: RwLock::new(served),
-            compacted_uploads: AtomicU64::new(checkpoint.uploads),
+            compacted_uploads: AtomicU64::new(checkpoint.uploads.saturating_sub(twice)),
             checkpoint: RwLock::new(checkpoint),
             beat: Heartbeat::default(),
             deciding: Mutex::default(),

@@ -150,7 +150,7 @@ impl Fleet {
             let left = self.acknowledged.values().filter(|id| !self.revoked.contains(id));
             let expected = model(&left.map(by_id).collect::<Vec<_>>());
             assert_eq!(folded, expected.into_iter().map(|(id, (_, bytes))| (id, bytes)).collect());
-            assert_eq!(store.totals().uploads, self.sent.len() as u64);
+            wait_for(store, |_| store.totals().uploads == self.sent.len() as u64);
             assert_eq!(store.verify(true).unwrap().damage, [""; 0]);
             self.restart();
         }
