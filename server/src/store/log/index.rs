@@ -13,7 +13,7 @@ use uuid::Uuid;
 
 use super::entry::{Action, Control, RecordKind, RecordMeta, RecordSubject};
 use super::exclusion::Exclusion;
-use super::journal::{RecordPosition, Written};
+use super::position::{RecordPosition, Written};
 
 /// Bytes of records handed out for folding at a time, but for a single larger one.
 const FOLD_BYTES: u64 = 8 << 20;

@@ -11,31 +11,14 @@ use uuid::Uuid;
 use super::entry::RecordMeta;
 use super::faults::{Fault, fault};
 use super::medium::LogSegment;
+use super::position::{RecordPosition, Written};
+use super::reader::{RecordReader, damaged};
 use super::writer::{Append, JournalWriter};
 use super::{medium, recover, segment, writer};
 use crate::store::api::{Error, io_error};
 use crate::store::backend::objects::Readable;
 use crate::store::backend::owner::Fence;
 use crate::store::backend::segments::{self, HEADER, Listed, Segments};
-
-/// Where a record lies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::store) struct RecordPosition {
-    /// Number of the segment's first record.
-    pub(in crate::store) segment: u64,
-    /// Byte of the payload.
-    pub(in crate::store) offset: u32,
-    /// Bytes of the payload.
-    pub(in crate::store) length: u32,
-}
-
-/// A record that is on disk.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::store) struct Written {
-    /// 1 for the journal's first record.
-    pub(in crate::store) number: u64,
-    pub(in crate::store) at: RecordPosition,
-}
 
 /// What is to be copied: its name in the archive, and how many bytes of it.
 pub(in crate::store) struct BackupPart {
@@ -229,7 +212,7 @@ impl Journal {
 
     /// Payloads of records, read with as few opened files as their order allows.
     pub(in crate::store) fn reader(&self) -> RecordReader<'_> {
-        RecordReader { segments: &*self.segments, open: None }
+        RecordReader::of(&*self.segments)
     }
 }
 
@@ -240,35 +223,6 @@ impl Drop for Journal {
             // It logged its own end.
             let _ = writer.join();
         }
-    }
-}
-
-/// Reads records.
-pub(in crate::store) struct RecordReader<'a> {
-    segments: &'a dyn Segments,
-    open: Option<(u64, Box<dyn Readable>)>,
-}
-
-impl RecordReader<'_> {
-    /// The payload of a record, checked against its checksum.
-    ///
-    /// # Errors
-    /// When the disk refuses or the record is damaged.
-    pub(in crate::store) fn payload(&mut self, at: RecordPosition) -> Result<Vec<u8>, Error> {
-        let file = match self.open.take() {
-            Some((segment, file)) if segment == at.segment => file,
-            _ => self.segments.open(at.segment).map_err(io_error("opening a journal segment"))?,
-        };
-        let mut bytes = vec![0; segment::RECORD_HEADER + at.length as usize];
-        let start = u64::from(at.offset) - segment::RECORD_HEADER as u64;
-        file.read_at(start, &mut bytes).map_err(io_error("reading a journal record"))?;
-        self.open = Some((at.segment, file));
-        if segment::parse_record(&bytes).is_none_or(|record| record.payload.len() != at.length as usize) {
-            let reason = "a record does not match its checksum";
-            return Err(damaged(self.segments, at.segment, start as usize, reason));
-        }
-        bytes.drain(..segment::RECORD_HEADER);
-        Ok(bytes)
     }
 }
 
@@ -300,13 +254,6 @@ fn drop_unfinished(segments: &dyn Segments, listed: &mut Vec<Listed>) -> Result<
 
 fn gone() -> Error {
     Error::Stopped("the journal's thread has ended".to_owned())
-}
-
-fn damaged(segments: &dyn Segments, first: u64, at: usize, reason: &str) -> Error {
-    Error::Damaged {
-        what: format!("journal segment {} at byte {at}", segments.locate(first)),
-        reason: reason.to_owned(),
-    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //!
 //! - [`journal`]: append-only segments; [`segment`]: their bytes; [`recover`]: what one holds after a crash; [`medium`]:
 //!   the one being written; [`writer`]: the thread that groups appends.
+//! - [`position`]: where a record lies; [`reader`]: reads it again.
 //! - [`entry`], [`record`]: the bytes of a record.
 //! - [`index`]: which records there are; [`exclusion`]: which of them count.
 //! - [`faults`]: deliberate defects, for harnesses that look for lost uploads.
@@ -12,6 +13,8 @@ mod faults;
 pub(in crate::store) mod index;
 pub(in crate::store) mod journal;
 mod medium;
+pub(in crate::store) mod position;
+mod reader;
 mod record;
 mod recover;
 mod segment;

@@ -11,7 +11,8 @@ use crate::store::api::{Error, QuarantinedRecord, UploadRecord};
 use crate::store::log::entry::{self, RecordContent};
 use crate::store::log::exclusion::Exclusion;
 use crate::store::log::index::JournalIndex;
-use crate::store::log::journal::{Journal, Written};
+use crate::store::log::journal::Journal;
+use crate::store::log::position::Written;
 
 /// A map that is written to.
 pub(in crate::store) trait Sink: Source {

@@ -12,7 +12,7 @@ use super::generation::Generation;
 use super::vetting::Vetting;
 use crate::store::api::{Error, MapStatus};
 use crate::store::log::index::NextFold;
-use crate::store::log::journal::Written;
+use crate::store::log::position::Written;
 
 /// How often an error that stays is logged.
 const REMINDER: Duration = Duration::from_mins(1);
