@@ -1,4 +1,4 @@
-//! The storage engine of one machine: the journal in files, the tiles in sled.
+//! The storage engine of one process, over a backend.
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
@@ -11,22 +11,26 @@ use echofix_core::time::day_of;
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::checkpoint::Checkpoint;
-use super::context::StoreContext;
-use super::data_dir::DataDir;
-use super::entry::{self, Action, Control, RecordKind, RecordMeta};
-use super::fold::unreadable;
-use super::fold_worker::{self, FoldWorker};
-use super::generation::Generation;
-use super::index::{JournalIndex, Reserved};
-use super::journal::{Journal, Written};
-use super::manifest::{Found, Manifest};
-use super::{
-    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options, QuarantinedRecord,
-    Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, build, io_error,
+use crate::store::api::{
+    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, QuarantinedRecord, Receipt,
+    Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
 };
+use crate::store::backend::Backend;
+use crate::store::local;
+use crate::store::log::entry::{self, Action, Control, RecordKind, RecordMeta};
+use crate::store::log::index::{JournalIndex, Reserved};
+use crate::store::log::journal::{Journal, RecoveredJournal};
+use crate::store::log::position::Written;
+use crate::store::map::build;
+use crate::store::map::checkpoint::Checkpoint;
+use crate::store::map::context::{Settings, StoreContext};
+use crate::store::map::fold::unreadable;
+use crate::store::map::fold_worker::{self, FoldWorker};
+use crate::store::map::resume;
+use crate::store::operations::{backup, history, region, verify};
+use crate::store::options::Options;
 
-/// Journal and tiles on local disks. Dropping it finishes what is being written.
+/// A journal and the tiles that are folded from it, by default on local disks. Dropping it finishes what is being written.
 pub struct EmbeddedStore {
     pub(super) shared: Arc<StoreContext>,
     worker: Option<JoinHandle<()>>,
@@ -39,63 +43,23 @@ impl EmbeddedStore {
     /// # Errors
     /// When the directory is in use, the disk refuses, or an acknowledged upload is damaged.
     pub fn open(options: &Options) -> Result<Self, Error> {
-        let dir = DataDir::open(&options.data_dir)?;
+        Self::over(local::open(&options.data_dir, options.table, options.cache_bytes)?, options.settings())
+    }
+
+    /// Opens what a backend holds.
+    pub(super) fn over(backend: Backend, settings: Settings) -> Result<Self, Error> {
         let index = Arc::new(JournalIndex::default());
-        let found = Journal::recover(&dir.journal(), |written, payload| {
+        let found = Journal::recover(&*backend.segments, |written, payload| {
             index.insert(&entry::meta(payload).ok_or_else(|| unreadable(written.number))?, written);
             Ok(())
         })?;
         index.begin_after(found.end());
-        let checkpoint = Checkpoint::newest(dir.root(), found.id())?;
+        let checkpoint = Checkpoint::newest(&*backend.objects, found.id())?;
         if checkpoint.last < index.before() {
             return Err(build::uncovered(index.before(), checkpoint.last));
         }
-        let manifest = manifest_of(&dir, options, found.id())?;
-        let sound = manifest.is_some();
-        let policy = options.policy.digest();
-        let lineage = match &manifest {
-            Some(manifest) if manifest.policy == policy => manifest.lineage,
-            _ => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
-        };
-        let mut worker = resume(&dir, options, manifest, &index)?;
-        if worker.on.is_none() && index.newest() == 0 {
-            worker.on = Some(first(&dir, options, found.id(), lineage)?);
-        }
-        dir.clean(found.id(), worker.on.as_ref().map(|generation| generation.number), sound)?;
-        let end = index.newest();
-        // What is served is the last good epoch; what was journaled after it is folded behind it.
-        let state = if worker.on.is_some() { MapStatus::Serving } else { MapStatus::Rebuilding };
-        let epoch = worker.folded;
-        let progress = watch::Sender::new(MapProgress {
-            state,
-            epoch,
-            journaled: end,
-            building: None,
-            stopped: false,
-            refusing: false,
-        });
-        let refusing = {
-            let progress = progress.clone();
-            move |now| progress.send_modify(|progress| progress.refusing = now)
-        };
-        let deliver = {
-            let (index, progress) = (index.clone(), progress.clone());
-            move |meta: RecordMeta, written: Written| {
-                // The index wakes the folding thread, which must not be ahead of the progress.
-                progress.send_modify(|progress| progress.journaled = written.number);
-                index.insert(&meta, written);
-            }
-        };
-        let journal_id = found.id();
-        let journal = Journal::start(
-            &dir.journal(),
-            found,
-            (options.segment_bytes, dir.fence().clone()),
-            deliver,
-            refusing,
-        )?;
-        let (journal, served) = ((journal_id, lineage, journal), (worker.on.clone(), checkpoint.clone()));
-        let shared = Arc::new(StoreContext::new(dir, options, journal, index, progress, served));
+        let (lineage, worker) = resume::resume(&backend, &settings.policy, found.id(), &index)?;
+        let shared = started(backend, settings, (found, checkpoint.clone()), index, (lineage, &worker))?;
         if worker.on.is_some() && worker.applied >= shared.index.newest_control() {
             build::discard_compacted(&shared, checkpoint)?;
         }
@@ -115,14 +79,14 @@ impl EmbeddedStore {
         Ok(Receipt::Duplicate { epoch: written.number, answer })
     }
 
-    pub(super) fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
+    fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
         let written = self.shared.journal.append(meta, fresh, payload);
         written.inspect_err(|error| self.shared.note_stop(error))
     }
 
     /// Writes a control; the caller holds [`StoreContext::decide`].
     fn control(&self, action: Action) -> Result<u64, Error> {
-        let at_us = self.shared.clock.now_us();
+        let at_us = self.shared.settings.clock.now_us();
         let (meta, payload) = entry::control(day_of(at_us), Control { at_us, action });
         // Compacted segments end where the compaction begins.
         let fresh = matches!(action, Action::Compact(_));
@@ -132,75 +96,48 @@ impl EmbeddedStore {
     }
 }
 
-/// The manifest, if it is of this journal. Any other is set aside: it may be what a restored journal lacks.
-fn manifest_of(dir: &DataDir, options: &Options, journal: Uuid) -> Result<Option<Manifest>, Error> {
-    match Manifest::read(dir.root(), &options.policy)? {
-        Found::None => Ok(None),
-        Found::Sound(manifest) if manifest.journal == journal => Ok(Some(manifest)),
-        Found::Sound(_) => dir.set_aside("manifest", "a manifest of another journal").map(|()| None),
-        Found::Damaged => dir.set_aside("manifest", "a damaged manifest").map(|()| None),
-    }
-}
-
-/// Opens the generation that the manifest names. One that is damaged or gone is made anew.
-fn resume(
-    dir: &DataDir,
-    options: &Options,
-    manifest: Option<Manifest>,
-    index: &JournalIndex,
-) -> Result<FoldWorker, Error> {
-    let nothing = FoldWorker { on: None, applied: 0, folded: index.before() };
-    let Some(Manifest { generation: number, applied, journal, policy, .. }) = manifest else {
-        return Ok(nothing);
+/// The journal begins to take records; nothing is folded yet.
+fn started(
+    backend: Backend,
+    settings: Settings,
+    (found, checkpoint): (RecoveredJournal, Checkpoint),
+    index: Arc<JournalIndex>,
+    (lineage, worker): (u64, &FoldWorker),
+) -> Result<Arc<StoreContext>, Error> {
+    let end = index.newest();
+    // What is served is the last good epoch; what was journaled after it is folded behind it.
+    let state = if worker.on.is_some() { MapStatus::Serving } else { MapStatus::Rebuilding };
+    let epoch = worker.folded;
+    let progress = watch::Sender::new(MapProgress {
+        state,
+        epoch,
+        journaled: end,
+        building: None,
+        stopped: false,
+        refusing: false,
+    });
+    let refusing = {
+        let progress = progress.clone();
+        move |now| progress.send_modify(|progress| progress.refusing = now)
     };
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    match Generation::open(&dir.generation(number), number, cache_bytes, journal, publish) {
-        Ok(on) if on.folded() > index.newest() => Err(journal_is_short(on.folded(), index.newest())),
-        Ok(on) if on.folded() < applied.max(index.before()) => {
-            tracing::warn!(folded = on.folded(), applied, "the tiles are not whole; folding them anew");
-            Ok(nothing)
+    let deliver = {
+        let (index, progress) = (index.clone(), progress.clone());
+        move |meta: RecordMeta, written: Written| {
+            // The index wakes the folding thread, which must not be ahead of the progress.
+            progress.send_modify(|progress| progress.journaled = written.number);
+            index.insert(&meta, written);
         }
-        Ok(_) if policy != options.policy.digest() => {
-            tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
-            Ok(nothing)
-        }
-        Ok(on) => {
-            let folded = on.folded();
-            Ok(FoldWorker { on: Some(Arc::new(on)), applied, folded })
-        }
-        Err(reason) => {
-            tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
-            Ok(nothing)
-        }
-    }
-}
-
-/// The empty generation of a new journal.
-fn first(dir: &DataDir, options: &Options, journal: Uuid, lineage: u64) -> Result<Arc<Generation>, Error> {
-    let number = dir.next_generation()?;
-    let (cache_bytes, publish) = (options.cache_bytes, options.policy.publish_contributors);
-    let generation = Generation::create(&dir.generation(number), number, journal, (cache_bytes, publish))?;
-    generation.load(&Checkpoint::default())?;
-    generation.complete(journal)?;
-    let policy = options.policy.digest();
-    Manifest { journal, generation: number, applied: 0, lineage, policy }.write(dir.root())?;
-    Ok(Arc::new(generation))
-}
-
-/// Tiles are folded from records on disk only, so the journal has lost some.
-fn journal_is_short(folded: u64, end: u64) -> Error {
-    Error::Damaged {
-        what: "the journal".to_owned(),
-        reason: format!(
-            "it ends at record {end} but the tiles hold record {folded}: acknowledged uploads are missing. \
-             Restore the journal, or delete the manifest to go on without them"
-        ),
-    }
+    };
+    let journal_id = found.id();
+    let (segments, fence) = (backend.segments.clone(), backend.fence.clone());
+    let journal = Journal::start(segments, found, (settings.segment_bytes, fence), deliver, refusing)?;
+    let (journal, served) = ((journal_id, lineage, journal), (worker.on.clone(), checkpoint));
+    Ok(Arc::new(StoreContext::new(backend, settings, journal, index, progress, served)))
 }
 
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
-        self.shared.dir.contributor(pseudonym)
+        self.shared.backend.pseudonyms.hash(pseudonym)
     }
 
     fn lineage(&self) -> u64 {
@@ -211,7 +148,7 @@ impl MapStore for EmbeddedStore {
         match self.shared.index.reserve(upload.id) {
             Reserved::Counted(written) => self.counted_as(written),
             Reserved::New(_reservation) => {
-                let (meta, payload) = entry::upload(self.shared.clock.today(), &upload);
+                let (meta, payload) = entry::upload(self.shared.settings.clock.today(), &upload);
                 Ok(Receipt::Counted { epoch: self.append(meta, false, payload)?.number })
             }
         }
@@ -229,7 +166,7 @@ impl MapStore for EmbeddedStore {
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
         let (version, tile) = generation.tiles.stored(id)?.ok_or_else(lost)?;
         let today = generation.catalog().newest_day();
-        Ok(Some(StoredTile { version, tile: self.shared.policy.served(tile, today).into() }))
+        Ok(Some(StoredTile { version, tile: self.shared.settings.policy.served(tile, today).into() }))
     }
 
     fn catalog(
@@ -270,7 +207,7 @@ impl MapStore for EmbeddedStore {
 impl Operations for EmbeddedStore {
     fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
         let _deciding = self.shared.decide();
-        let contributor = self.shared.dir.contributor(pseudonym);
+        let contributor = self.shared.backend.pseudonyms.hash(pseudonym);
         let compacted = self.shared.index.compacted();
         if !self.shared.index.any_after(compacted, RecordKind::Upload { contributor }) {
             return Err(Error::Unknown(
@@ -294,7 +231,7 @@ impl Operations for EmbeddedStore {
 
     fn rollback(&self, epoch: u64) -> Result<u64, Error> {
         let _deciding = self.shared.decide();
-        self.in_journal(epoch)?;
+        history::in_journal(&self.shared, epoch)?;
         self.control(Action::Rollback(epoch))
     }
 
@@ -312,40 +249,27 @@ impl Operations for EmbeddedStore {
     }
 
     fn history(&self, limit: usize) -> Vec<HistoryEvent> {
-        self.events(limit)
+        history::events(&self.shared, limit)
     }
 
     fn at(&self, epoch: u64) -> Result<Snapshot, Error> {
-        self.snapshot(epoch)
+        history::snapshot(&self.shared, epoch)
     }
 
     fn export(&self, region: &Region, out: &mut dyn Write) -> Result<u64, Error> {
-        self.export_region(region, out)
+        region::export(&self.shared, region, out)
     }
 
     fn import(&self, file: &mut dyn Read) -> Result<Imported, Error> {
-        self.import_region(file)
+        region::import(&self.shared, file)
     }
 
     fn backup(&self, out: &mut dyn Write) -> Result<u64, Error> {
-        self.write_backup(out)
+        backup::write(&self.shared, out)
     }
 
     fn verify(&self, replay: bool) -> Result<Verified, Error> {
-        self.verified(replay)
-    }
-}
-
-impl EmbeddedStore {
-    /// Is this the epoch of a map that can be had?
-    pub(super) fn in_journal(&self, epoch: u64) -> Result<(), Error> {
-        let (oldest, newest) =
-            (self.shared.index.compacted().max(self.shared.index.before()), self.shared.index.newest());
-        if (oldest..=newest).contains(&epoch) {
-            return Ok(());
-        }
-        let reason = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
-        Err(Error::Unknown(reason))
+        verify::verified(&self.shared, replay)
     }
 }
 

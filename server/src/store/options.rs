@@ -1,15 +1,24 @@
 //! How the store of one machine is set up.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
-use super::{Policy, StoreClock};
+use crate::store::api::StoreClock;
+use crate::store::local::TableEngine;
+use crate::store::map::context::Settings;
+use crate::store::map::policy::Policy;
 
-/// Where and how an [`super::EmbeddedStore`] stores its data.
+/// How long folding rests after an error.
+const RETRY: Duration = Duration::from_secs(2);
+
+/// Where and how an [`crate::store::embedded::EmbeddedStore`] stores its data.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The data directory; made if missing.
     pub data_dir: PathBuf,
-    /// Memory for sled's cache, bytes; twice that while a new generation of tiles is made.
+    /// What tiles are stored in.
+    pub table: TableEngine,
+    /// Memory for the tile store's cache, bytes; twice that while a new generation of tiles is made.
     pub cache_bytes: u64,
     /// Size from which a journal segment is followed by the next, bytes; at most 1 GiB.
     pub segment_bytes: u64,
@@ -29,11 +38,22 @@ impl Options {
     pub fn new(data_dir: PathBuf, policy: Policy) -> Self {
         Self {
             data_dir,
+            table: TableEngine::default(),
             cache_bytes: 256 << 20,
             segment_bytes: 64 << 20,
             write_buffer_tiles: 2048,
             policy,
             clock: StoreClock::default(),
+        }
+    }
+
+    pub(super) fn settings(&self) -> Settings {
+        Settings {
+            segment_bytes: self.segment_bytes,
+            write_buffer_tiles: self.write_buffer_tiles,
+            policy: self.policy,
+            clock: self.clock.clone(),
+            retry: RETRY,
         }
     }
 }

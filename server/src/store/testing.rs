@@ -6,7 +6,7 @@ use echofix_core::geo::{TileId, Zone};
 use proptest::prelude::*;
 use uuid::Uuid;
 
-use super::UploadRecord;
+use crate::store::api::UploadRecord;
 
 /// Uploads of few contributors to few tiles, so that they meet.
 pub(crate) fn uploads() -> impl Strategy<Value = UploadRecord> {

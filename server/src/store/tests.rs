@@ -6,16 +6,22 @@ use std::time::{Duration, Instant};
 
 use echofix_core::datum::Offset;
 use echofix_core::evidence::Cell;
-use echofix_core::tile::{self, Ledger};
+use echofix_core::geo::TileId;
+use echofix_core::tile::{self, Ledger, Tile};
 use proptest::prelude::*;
+use uuid::Uuid;
 
-use super::testing::{some_uploads, uploads};
+use super::backend::faulty::{Call, Fault, Faults};
+use super::backend::tables::TableUse;
 use super::*;
+use crate::store::testing::{some_uploads, uploads};
 
 mod compacting;
 mod controls;
 mod copies;
+mod faults;
 mod folding;
+mod losses;
 mod past;
 
 thread_local! {
@@ -35,6 +41,21 @@ fn options(dir: &Path) -> Options {
 
 fn open(dir: &Path) -> EmbeddedStore {
     EmbeddedStore::open(&options(dir)).unwrap()
+}
+
+/// A store in a directory whose calls may fail.
+fn open_failing(dir: &Path, faults: &Faults) -> EmbeddedStore {
+    let options = options(dir);
+    let backend = local::open(dir, options.table, options.cache_bytes).unwrap();
+    EmbeddedStore::over(faults.around(backend), options.settings()).unwrap()
+}
+
+/// Waits until the making of a generation stopped, or until only what comes after it did.
+fn wait_for_fault(store: &EmbeddedStore, faults: &Faults) {
+    wait_for(store, |p| {
+        let made = p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
+        faults.injected() > 0 && (p.state == MapStatus::Stalled || made)
+    });
 }
 
 fn commit_all(store: &EmbeddedStore, uploads: &[UploadRecord]) {
@@ -178,6 +199,19 @@ fn tiles_that_an_older_version_stored_in_another_layout_are_rebuilt() {
 }
 
 #[test]
+fn tiles_of_another_table_are_folded_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(20);
+    let tables = [TableEngine::Sled, TableEngine::Redb, TableEngine::Redb, TableEngine::Sled];
+    for (table, sent) in tables.into_iter().zip([5, 10, 15, 20]) {
+        let store = EmbeddedStore::open(&Options { table, ..options(dir.path()) }).unwrap();
+        commit_all(&store, &uploads[sent - 5..sent]);
+        assert_eq!(map(&store), model(&uploads[..sent]), "{table:?}");
+        assert_eq!(store.verify(true).unwrap().damage, [""; 0]);
+    }
+}
+
+#[test]
 fn tiles_of_another_journal_are_not_believed() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let uploads = some_uploads(8);
@@ -219,93 +253,10 @@ fn a_tile_that_sled_rolled_back_or_lost_is_folded_again() {
 }
 
 fn sled_tree<T>(dir: &Path, work: impl FnOnce(&sled::Tree) -> T) -> T {
-    let tiles = tiles::TileStore::open(&tiles_dir(dir), 1 << 20).unwrap();
+    let tiles = local::sled_instance::Sled::open(&tiles_dir(dir), 1 << 20).unwrap();
     let result = work(tiles.tree());
-    tiles.flush().unwrap();
+    tiles.db().flush().unwrap();
     result
-}
-
-#[test]
-fn acknowledged_uploads_missing_from_the_journal_are_reported() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path());
-    let uploads = some_uploads(3);
-    commit_all(&store, &uploads);
-    caught_up(&store);
-    drop(store);
-    let segment = dir.path().join("journal/00000000000000000001.seg");
-    let bytes = std::fs::read(&segment).unwrap();
-    std::fs::write(&segment, &bytes[..bytes.len() - 1]).unwrap();
-    match EmbeddedStore::open(&options(dir.path())) {
-        Err(Error::Damaged { reason, .. }) => assert!(reason.contains("acknowledged"), "{reason}"),
-        _ => panic!("the loss went unnoticed"),
-    }
-    std::fs::remove_file(dir.path().join("manifest")).unwrap();
-    assert_eq!(map(&open(dir.path())), model(&uploads[..2]), "the operator may decide to go on");
-}
-
-#[test]
-fn a_journal_without_its_key_is_not_opened() {
-    let dir = tempfile::tempdir().unwrap();
-    let key = dir.path().join("key");
-    drop(open(dir.path()));
-    std::fs::remove_file(&key).unwrap();
-    commit_all(&open(dir.path()), &some_uploads(1));
-    let bytes = std::fs::read(&key).unwrap();
-    std::fs::remove_file(&key).unwrap();
-    drop(open(dir.path()));
-    assert_eq!(std::fs::read(&key).unwrap(), bytes, "mended from its copy");
-    std::fs::remove_file(&key).unwrap();
-    std::fs::remove_file(dir.path().join("key-copy")).unwrap();
-    match EmbeddedStore::open(&options(dir.path())) {
-        Err(Error::Damaged { reason, .. }) => assert!(reason.contains("Restore it"), "{reason}"),
-        _ => panic!("the missing key went unnoticed"),
-    }
-    assert!(!key.exists(), "no new key is made in its place");
-    std::fs::write(&key, bytes).unwrap();
-    assert_eq!(map(&open(dir.path())), model(&some_uploads(1)));
-}
-
-/// Catches: a journal that accepts nothing until a restart, although what failed is mended.
-#[test]
-fn a_journal_that_cannot_be_reached_refuses_and_goes_on_when_it_is_there_again() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path());
-    let (journal, gone) = (dir.path().join("journal"), dir.path().join("gone"));
-    let uploads = some_uploads(200);
-    store.commit(uploads[0].clone()).unwrap();
-    caught_up(&store);
-    std::fs::rename(&journal, &gone).unwrap();
-    // The open segment takes some; the next cannot be made.
-    let count = |upload: &&UploadRecord| store.commit((*upload).clone()).is_ok();
-    let taken = uploads[1..].iter().take_while(count).count();
-    assert!(matches!(store.commit(uploads[taken + 1].clone()), Err(Error::Io { .. })));
-    wait_for(&store, |progress| progress.state == MapStatus::Stalled);
-    assert!(!map_of_now(&store).is_empty(), "what was folded is served");
-    std::fs::rename(&gone, &journal).unwrap();
-    commit_all(&store, &uploads[taken + 1..]);
-    assert_eq!(map(&store), model(&uploads));
-    drop(store);
-    assert_eq!(map(&open(dir.path())), model(&uploads));
-}
-
-/// Catches: two services that acknowledge the same epoch, and a journal that does not open after it.
-#[test]
-fn a_service_that_lost_its_directory_stops_acknowledging() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path());
-    let uploads = some_uploads(20);
-    commit_all(&store, &uploads[..10]);
-    caught_up(&store);
-    // As another service does that no lock keeps out, before it reads the journal.
-    std::fs::remove_file(dir.path().join("writer")).unwrap();
-    assert!(matches!(store.commit(uploads[10].clone()), Err(Error::Stopped(_))));
-    assert!(store.progress().borrow().stopped);
-    drop(store);
-    let store = open(dir.path());
-    commit_all(&store, &uploads[11..]);
-    let taken = store.totals().uploads;
-    assert!((19..=20).contains(&taken), "{taken}");
 }
 
 /// Catches: a crash that keeps the map from being read until all that was journaled is folded.

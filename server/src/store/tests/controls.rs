@@ -1,6 +1,5 @@
 //! Revocations and rollbacks, against stores that never had what was taken back.
 
-use super::super::build::BuildStep;
 use super::*;
 
 /// Tiles by their bytes.
@@ -194,26 +193,31 @@ fn unchanged_tiles_keep_their_version_and_the_others_take_the_controls() {
 
 #[test]
 fn the_map_is_served_while_another_generation_is_made_and_after_any_stop_at_it() {
-    for step in
-        [BuildStep::Created, BuildStep::Folded, BuildStep::Flushed, BuildStep::Published, BuildStep::Served]
-    {
+    let stops = [
+        (Call::NextNumber, Fault::Error),
+        (Call::Create(TableUse::Served), Fault::LostAnswer),
+        (Call::Apply(TableUse::Served), Fault::Torn),
+        (Call::Complete(TableUse::Served), Fault::Error),
+        (Call::Flush(TableUse::Served), Fault::LostAnswer),
+        (Call::Publish, Fault::Error),
+        (Call::Publish, Fault::LostAnswer),
+        (Call::DeleteSegments, Fault::Error),
+    ];
+    for stop in stops {
         let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path());
+        let faults = Faults::default();
+        let store = open_failing(dir.path(), &faults);
         let uploads = by_cars(&store, some_uploads(20));
         commit_all(&store, &uploads);
         let before = map(&store);
-        *store.shared.fails_at.lock().unwrap() = Some(step);
+        faults.name(stop.0, stop.1);
         let epoch = store.rollback(10).unwrap();
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while store.progress().borrow().state != MapStatus::Stalled {
-            assert!(Instant::now() < deadline, "{step:?} is not reached");
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        if step != BuildStep::Served {
+        wait_for_fault(&store, &faults);
+        if stop.0 != Call::DeleteSegments {
             assert_eq!(store.progress().borrow().epoch, 20);
             let (id, (version, bytes)) = before.first_key_value().unwrap();
             let tile = store.tile(*id).unwrap().unwrap();
-            assert_eq!((tile.version, tile.encoded()), (*version, bytes.clone()), "{step:?}");
+            assert_eq!((tile.version, tile.encoded()), (*version, bytes.clone()), "{stop:?}");
         }
         // As after a power cut, what is on disk goes on elsewhere...
         let elsewhere = tempfile::tempdir().unwrap();
@@ -222,7 +226,7 @@ fn the_map_is_served_while_another_generation_is_made_and_after_any_stop_at_it()
         for dir in [dir.path(), elsewhere.path()] {
             let store = open(dir);
             assert_eq!(store.rollback(21).unwrap(), epoch + 1);
-            assert_eq!(bytes(&store), never_had(&uploads[..10]), "{step:?}");
+            assert_eq!(bytes(&store), never_had(&uploads[..10]), "{stop:?}");
             drop(store);
             tiles_dir(dir);
         }

@@ -1,8 +1,8 @@
 //! Export, import, backup, verification.
 
-use super::super::write_buffer::Source;
 use super::controls::{by_cars, bytes, never_had};
 use super::*;
+use crate::store::map::write_buffer::Source;
 
 fn region(store: &EmbeddedStore) -> Region {
     Region { bounds_deg: [-180.0, -90.0, 180.0, 90.0], tiles: map(store).into_keys().collect() }
@@ -163,7 +163,8 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     std::fs::write(&marker, "these tiles").unwrap();
     let manifest = dir.path().join("manifest");
     let current = std::fs::read(&manifest).unwrap();
-    manifest::write_legacy(dir.path(), &vetted);
+    let legacy = map::manifest::legacy(&std::fs::read(&manifest).unwrap(), &vetted);
+    std::fs::write(&manifest, legacy).unwrap();
     assert_ne!(std::fs::read(&manifest).unwrap(), current);
     let store = with(vetted);
     assert_eq!(store.progress().borrow().state, MapStatus::Serving, "nothing is folded anew");
@@ -171,7 +172,8 @@ fn a_manifest_of_the_format_before_keeps_lineage_and_generation() {
     assert_eq!(std::fs::read(&manifest).unwrap(), current, "it is rewritten");
     drop(store);
 
-    manifest::write_legacy(dir.path(), &vetted);
+    let legacy = map::manifest::legacy(&std::fs::read(&manifest).unwrap(), &vetted);
+    std::fs::write(&manifest, legacy).unwrap();
     let store = with(Policy { publish_contributors: 7, ..vetted });
     assert_ne!(store.lineage(), lineage);
     caught_up(&store);

@@ -5,8 +5,8 @@ use echofix_core::evidence::{CellHits, EvidenceDelta, Pass, TileEvidence};
 use echofix_core::geo::{CellIndex, Zone};
 use echofix_core::vetting::VettingLimits;
 
-use super::super::policy::FOLDING;
 use super::*;
+use crate::store::map::policy::FOLDING;
 
 /// Numbers as good as random ones.
 fn noise(seed: i64) -> i64 {

@@ -1,0 +1,20 @@
+//! What every storage engine offers, and its values. It knows nothing of how anything is stored.
+
+mod clock;
+mod error;
+mod history;
+mod map_store;
+mod operations;
+mod progress;
+mod reports;
+mod values;
+
+pub use clock::StoreClock;
+pub use error::Error;
+pub(in crate::store) use error::io_error;
+pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
+pub use map_store::MapStore;
+pub use operations::Operations;
+pub use progress::{Building, MapProgress, MapStatus};
+pub use reports::{Imported, QuarantinedRecord, Region, Verified};
+pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord};

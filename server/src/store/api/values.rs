@@ -1,0 +1,93 @@
+//! Uploads and tiles, as they come and as they are served.
+
+use std::sync::Arc;
+
+use echofix_core::datum::PoseSigma;
+use echofix_core::evidence::{EvidenceDelta, Pass};
+use echofix_core::geo::TileId;
+use echofix_core::tile::{self, Tile};
+use uuid::Uuid;
+
+/// An upload as a record of the journal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UploadRecord {
+    /// Chosen by the contributor; an upload counts once by it.
+    pub id: Uuid,
+    /// The contributor's hash and the day of the drive.
+    pub pass: Pass,
+    /// Uploads of days before this one are no longer taken, so the votes of their passes may be
+    /// forgotten; 0 forgets none. It is in the record, so that folding it again gives the same.
+    pub forget_before: u16,
+    /// How well the poses are known that it was mapped from, as declared. `None` in records of before there were
+    /// declarations: they are vetted and folded as they were then.
+    pub declared: Option<PoseSigma>,
+    /// Its evidence delta. Near a zone border it holds the tiles of both zones.
+    pub contribution: EvidenceDelta,
+    /// The answer that was given, repeated to retries (an encoded `UploadResponse`).
+    pub answer: Vec<u8>,
+}
+
+/// What became of a commit.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Receipt {
+    /// Counted, and on disk.
+    Counted {
+        /// The map shows it from this epoch on.
+        epoch: u64,
+    },
+    /// This id was counted before.
+    Duplicate {
+        /// The map shows it from this epoch on.
+        epoch: u64,
+        /// The answer that was given when it was counted, an encoded `UploadResponse`.
+        answer: Vec<u8>,
+    },
+}
+
+/// A tile as it is served.
+#[derive(Debug, Clone)]
+pub struct StoredTile {
+    /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
+    /// served of it fades as the map's newest day moves on.
+    pub version: u64,
+    /// The evidence that is published of it.
+    pub tile: Arc<Tile>,
+}
+
+impl StoredTile {
+    /// The tile in the codec of [`echofix_core::tile`]: made when it is asked for, since few readers want it.
+    #[must_use]
+    pub fn encoded(&self) -> Vec<u8> {
+        tile::encode(&self.tile)
+    }
+}
+
+/// What the catalog says about a tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TileInfo {
+    /// Its id.
+    pub id: TileId,
+    /// Epoch of its last change.
+    pub version: u64,
+    /// Cells that enough contributors support, for them to be served.
+    pub cells: u32,
+    /// Last UTC day anything was seen, counted from the Unix epoch.
+    pub newest_day: u16,
+    /// Bytes of the encoded tile.
+    pub bytes: u32,
+}
+
+/// The whole map in numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Tiles that hold any evidence.
+    pub tiles: u64,
+    /// Occupied cells.
+    pub cells: u64,
+    /// Bytes of encoded tiles.
+    pub bytes: u64,
+    /// Uploads counted since the journal began, compacted and revoked ones too.
+    pub uploads: u64,
+    /// Last UTC day anything was seen, counted from the Unix epoch.
+    pub newest_day: u16,
+}

@@ -1,0 +1,164 @@
+//! The layout of a data directory.
+//!
+//! ```text
+//! lock         held while a server runs; the directory itself is locked, too, and its journal
+//! writer       whose store it is by now: the second line behind the locks
+//! key          what contributors' pseudonyms are hashed with, checksummed, mode 0600; key-copy is its copy
+//! journal/     the source of truth
+//! base-<n>     the source of truth for the records up to n that were compacted
+//! manifest     which tiles are served
+//! tiles-<n>/   sled, a generation of tiles; folded from checkpoint and journal, may be deleted while no server runs
+//! scratch-<n>/ tiles that are folded to be compacted
+//! set-aside/   what contradicts the journal, kept for whoever runs the store
+//! ```
+//!
+//! Nothing is deleted or overwritten here that this store did not make: its directories of tiles hold a marker
+//! ([`super::marker`]), and files that are being written have names of their own ([`super::files`]).
+
+use std::fs;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+
+use uuid::Uuid;
+
+use super::contributor_key::ContributorKey;
+use super::fence::Fence;
+use super::lock::Locks;
+use super::marker::marked;
+use super::{files, segments, traces};
+use crate::store::api::{Error, io_error};
+use crate::store::backend::owner::Pseudonyms;
+use crate::store::backend::tables::{TableId, TableUse};
+
+/// How the names of generations of tiles begin.
+pub(super) const TILES: &str = "tiles-";
+/// How the names of tiles begin that are folded to be compacted.
+const SCRATCH: &str = "scratch-";
+/// Where it lies what contradicts the journal.
+const SET_ASIDE: &str = "set-aside";
+
+/// A locked data directory.
+pub(super) struct DataDir {
+    root: PathBuf,
+    key: ContributorKey,
+    fence: Fence,
+    _locks: Locks,
+}
+
+impl DataDir {
+    /// Opens a data directory, creating what is missing. Nothing is created in one that lost its journal.
+    pub(super) fn open(root: &Path) -> Result<Self, Error> {
+        let creating = "creating the data directory";
+        let mut builder = fs::DirBuilder::new();
+        builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
+        let mut locks = Locks::of(root)?;
+        let journal = root.join("journal");
+        if !segments::any(&journal)? {
+            traces::none(root, &journal)?;
+            builder.create(&journal).map_err(at(&journal, creating))?;
+        }
+        locks.hold(&journal)?;
+        let key = ContributorKey::open(root, segments::holds_records(&journal)?)?;
+        let fence = Fence::take(root)?;
+        files::sync_dir(root).map_err(at(root, "syncing the data directory"))?;
+        if let Some(parent) = root.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            files::sync_dir(parent).map_err(at(parent, "syncing the data directory's parent"))?;
+        }
+        Ok(Self { root: root.to_owned(), key, fence, _locks: locks })
+    }
+
+    pub(super) fn journal(&self) -> PathBuf {
+        self.root.join("journal")
+    }
+
+    pub(super) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Tells whether another server took the directory over.
+    pub(super) fn fence(&self) -> &Fence {
+        &self.fence
+    }
+
+    /// The directory of a table.
+    pub(super) fn table(&self, id: TableId) -> PathBuf {
+        let prefix = match id.used {
+            TableUse::Served => TILES,
+            TableUse::Scratch => SCRATCH,
+        };
+        self.root.join(format!("{prefix}{}", id.number))
+    }
+
+    /// A number that is free: nothing on disk has a name with it, whoever made that.
+    pub(super) fn next_generation(&self) -> Result<u64, Error> {
+        let names = files::names(&self.root)?;
+        let number = |name: &String| {
+            name.strip_prefix(TILES).or_else(|| name.strip_prefix(SCRATCH))?.parse::<u64>().ok()
+        };
+        let taken: Vec<u64> = names.iter().filter_map(number).collect();
+        let sensible = taken.iter().copied().filter(|number| *number < u64::MAX / 2).max().unwrap_or(0);
+        Ok(sensible + 1)
+    }
+
+    /// Removes tiles that this store made and no longer needs, and files it did not finish. `replaced` says that the
+    /// manifest is sound: then other generations of its journal are older ones, or unfinished. Without it they may hold
+    /// what the journal lost, and are set aside.
+    pub(super) fn clean(&self, journal: Uuid, current: Option<u64>, replaced: bool) -> Result<(), Error> {
+        files::remove_unfinished(&self.root)?;
+        let current = current.map(|number| format!("{TILES}{number}"));
+        for name in files::names(&self.root)? {
+            let numbered = |prefix| name.strip_prefix(prefix).is_some_and(|n: &str| n.parse::<u64>().is_ok());
+            let (tiles, scratch) = (numbered(TILES), numbered(SCRATCH));
+            if current.as_ref() == Some(&name) || !(tiles || scratch || name == "scratch") {
+                continue;
+            }
+            let path = self.root.join(&name);
+            match marked(&path) {
+                Some(of) if of == journal && (scratch || replaced) => {
+                    fs::remove_dir_all(&path).map_err(at(&path, "removing old tiles"))?;
+                }
+                Some(_) => self.set_aside(&name, "tiles that do not belong to this journal and manifest")?,
+                None => {
+                    tracing::warn!(path = %path.display(), "nothing says that this store made it; left alone");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves what contradicts the journal out of the way. It is never deleted.
+    pub(super) fn set_aside(&self, name: &str, why: &str) -> Result<(), Error> {
+        let dir = self.root.join(SET_ASIDE);
+        let doing = "setting aside what contradicts the journal";
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(&dir).map_err(at(&dir, doing))?;
+        let mut to = dir.join(name);
+        let mut count = 1;
+        while to.symlink_metadata().is_ok() {
+            count += 1;
+            to = dir.join(format!("{name}.{count}"));
+        }
+        fs::rename(self.root.join(name), &to).map_err(at(&to, doing))?;
+        files::sync_dir(&dir).and_then(|()| files::sync_dir(&self.root)).map_err(at(&dir, doing))?;
+        tracing::warn!(%name, to = %to.display(), why, "set aside; look at it, then delete it or restore from it");
+        Ok(())
+    }
+}
+
+impl Pseudonyms for DataDir {
+    fn hash(&self, pseudonym: &str) -> u64 {
+        self.key.hash(pseudonym)
+    }
+
+    fn damage(&self) -> Vec<String> {
+        self.key.damage(&self.root)
+    }
+}
+
+/// Names the file in what is told of a failure.
+pub(super) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
+    let path = path.display().to_string();
+    move |error| io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,72 @@
+//! Files, sled and redb: the only modules that know paths.
+//!
+//! - [`data_dir`]: the layout of a data directory; [`lock`], [`fence`]: one server at a time; [`contributor_key`]: what
+//!   pseudonyms are hashed with; [`marker`], [`traces`]: what this store made.
+//! - [`files`]: files that are whole or not there; [`objects`], [`segments`], [`manifest`]: what the store keeps in files.
+//! - [`tables`]: the tables of tiles; [`sled_table`] and [`sled_instance`]: one of them in sled; [`redb_table`]: one in redb;
+//!   [`table_dir`]: its directory; [`fuse`]: when it takes no more; [`room`]: how much room a disk has left.
+
+mod contributor_key;
+mod data_dir;
+mod fence;
+mod files;
+mod fuse;
+mod lock;
+mod manifest;
+mod marker;
+mod objects;
+mod redb_table;
+mod room;
+mod segments;
+pub(in crate::store) mod sled_instance;
+mod sled_table;
+mod table_dir;
+mod tables;
+mod traces;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::api::Error;
+use super::backend::Backend;
+use data_dir::DataDir;
+pub use tables::TableEngine;
+
+/// Opens a data directory, and locks it for as long as the backend is held.
+pub(in crate::store) fn open(root: &Path, engine: TableEngine, cache_bytes: u64) -> Result<Backend, Error> {
+    let dir = Arc::new(DataDir::open(root)?);
+    Ok(Backend {
+        objects: Arc::new(objects::LocalObjects::of(dir.root())),
+        segments: Arc::new(segments::LocalSegments::of(&dir.journal())),
+        manifests: Arc::new(manifest::LocalManifest(dir.clone())),
+        tables: Arc::new(tables::LocalTables { dir: dir.clone(), engine, cache_bytes }),
+        fence: Arc::new(dir.fence().clone()),
+        pseudonyms: dir,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    mod cost;
+
+    use super::*;
+    use crate::store::backend::conformance::{Place, conforms};
+
+    struct Directory(TableEngine, tempfile::TempDir);
+
+    impl Place for Directory {
+        fn open(&self) -> Backend {
+            open(self.1.path(), self.0, 1 << 20).unwrap()
+        }
+    }
+
+    mod with_sled {
+        use super::*;
+        conforms!(Directory(TableEngine::Sled, tempfile::tempdir().unwrap()));
+    }
+
+    mod with_redb {
+        use super::*;
+        conforms!(Directory(TableEngine::Redb, tempfile::tempdir().unwrap()));
+    }
+}

@@ -1,0 +1,58 @@
+//! The tables of a data directory.
+
+use std::sync::Arc;
+
+use uuid::Uuid;
+
+use super::data_dir::DataDir;
+use super::redb_table::RedbTable;
+use super::sled_table::SledTable;
+use super::table_dir::TableDir;
+use crate::store::api::Error;
+use crate::store::backend::tables::{TableId, TileTable, TileTables};
+
+/// What tiles are stored in. Tiles that lie in another one are folded anew.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TableEngine {
+    /// sled: a log whose pages are mostly kept in memory.
+    #[default]
+    Sled,
+    /// redb: a B-tree in one file, with a cache that is bounded.
+    Redb,
+}
+
+/// Makes and opens them.
+pub(super) struct LocalTables {
+    pub(super) dir: Arc<DataDir>,
+    pub(super) engine: TableEngine,
+    /// Memory for the cache of each.
+    pub(super) cache_bytes: u64,
+}
+
+impl LocalTables {
+    fn opened(&self, dir: TableDir) -> Result<Box<dyn TileTable>, Error> {
+        Ok(match self.engine {
+            TableEngine::Sled => Box::new(SledTable::open(dir, self.cache_bytes)?),
+            TableEngine::Redb => Box::new(RedbTable::open(dir, self.cache_bytes)?),
+        })
+    }
+}
+
+impl TileTables for LocalTables {
+    fn create(&self, id: TableId, journal: Uuid) -> Result<Box<dyn TileTable>, Error> {
+        self.opened(TableDir::create(&self.dir.table(id), journal)?)
+    }
+
+    fn open(&self, id: TableId) -> Result<Option<Box<dyn TileTable>>, Error> {
+        let path = self.dir.table(id);
+        path.exists().then(|| self.opened(TableDir::of(&path))).transpose()
+    }
+
+    fn next_number(&self) -> Result<u64, Error> {
+        self.dir.next_generation()
+    }
+
+    fn clean(&self, journal: Uuid, served: Option<u64>, replaced: bool) -> Result<(), Error> {
+        self.dir.clean(journal, served, replaced)
+    }
+}

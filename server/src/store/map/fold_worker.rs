@@ -1,0 +1,133 @@
+//! The thread that folds: records into the served generation, and new generations when a control asks
+//! for one.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::attempt::{TilesError, caught};
+use super::build::{self, Built};
+use super::context::StoreContext;
+use super::fold::fold_group;
+use super::generation::Generation;
+use super::vetting::Vetting;
+use crate::store::api::{Error, MapStatus};
+use crate::store::log::index::NextFold;
+use crate::store::log::position::Written;
+
+/// How often an error that stays is logged.
+const REMINDER: Duration = Duration::from_mins(1);
+
+/// Where folding stands.
+pub(in crate::store) struct FoldWorker {
+    /// `None` when there is no generation to fold on.
+    pub(in crate::store) on: Option<Arc<Generation>>,
+    /// The last control it was made under.
+    pub(in crate::store) applied: u64,
+    /// The last record it holds.
+    pub(in crate::store) folded: u64,
+}
+
+/// Folds until the end is called.
+pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
+    let whole = shared.index.newest();
+    let (mut logged, mut reminded) = (Instant::now(), None);
+    let mut vetting = Vetting::new(shared.settings.policy.vetting);
+    loop {
+        match folder.step(shared, &mut vetting) {
+            Ok(false) => return,
+            Ok(true) => {
+                if reminded.take().is_some() {
+                    tracing::info!(epoch = folder.folded, "folding goes on");
+                }
+                shared.set_state(MapStatus::Serving);
+            }
+            Err(reason) => {
+                if reminded.is_none_or(|last: Instant| last.elapsed() > REMINDER) {
+                    tracing::error!(%reason, "folding failed; trying again");
+                    reminded = Some(Instant::now());
+                }
+                if shared.served().is_some() {
+                    shared.set_state(MapStatus::Stalled);
+                }
+                shared.beat.rest();
+                if !shared.index.pause(shared.settings.retry) {
+                    return;
+                }
+                shared.beat.beat();
+                folder.mend(shared);
+            }
+        }
+        if folder.folded < whole && logged.elapsed() > Duration::from_secs(1) {
+            tracing::info!(folded = folder.folded, journaled = whole, "folding the journal into tiles");
+            logged = Instant::now();
+        }
+    }
+}
+
+impl FoldWorker {
+    /// Does what is next, waiting for it. False at the end.
+    fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, TilesError> {
+        let Some(on) = self.on.clone() else {
+            shared.beat.beat();
+            return self.build(shared);
+        };
+        shared.beat.rest();
+        let next = shared.index.next(self.folded, self.applied);
+        shared.beat.beat();
+        match next {
+            None => Ok(false),
+            Some(NextFold::Build) => self.build(shared),
+            Some(NextFold::Records(group)) => {
+                let newest = group.last().map_or(self.folded, |written| written.number);
+                caught(|| fold(shared, &on, &group, newest, vetting))?;
+                self.folded = newest;
+                shared.progress.send_modify(|progress| progress.epoch = newest);
+                Ok(true)
+            }
+        }
+    }
+
+    fn build(&mut self, shared: &StoreContext) -> Result<bool, TilesError> {
+        let built = caught(|| build::build(shared)).inspect_err(|_| {
+            shared.progress.send_modify(|progress| progress.building = None);
+        })?;
+        let Some(Built { generation, applied, folded }) = built else { return Ok(false) };
+        *self = Self { on: Some(generation), applied, folded };
+        Ok(true)
+    }
+
+    /// After a failure: some of a group may be folded, and tiles that failed to be written need others in their place. They are
+    /// served as they were until there are.
+    fn mend(&mut self, shared: &StoreContext) {
+        let Some(on) = self.on.clone() else { return };
+        self.folded = on.folded();
+        if on.tiles.broken().is_none() {
+            return;
+        }
+        match caught(|| build::replace(shared, &on, self.applied)) {
+            Ok(fresh) => {
+                tracing::info!(
+                    epoch = self.folded,
+                    "a copy of the tiles is served in place of those that failed"
+                );
+                self.on = Some(fresh);
+            }
+            // It is too early; the next step fails again, for the same reason.
+            Err(TilesError::Store(Error::NoRoom { .. } | Error::Io { .. } | Error::Broken(_))) => {}
+            Err(reason) => {
+                tracing::error!(%reason, "the tiles that failed cannot be copied; folding new ones");
+                self.on = None;
+            }
+        }
+    }
+}
+
+fn fold(
+    shared: &StoreContext,
+    on: &Generation,
+    group: &[Written],
+    newest: u64,
+    vetting: &mut Vetting,
+) -> Result<(), Error> {
+    fold_group((&shared.journal, shared.settings.write_buffer_tiles), &mut &*on, group, newest, vetting)
+}

@@ -1,0 +1,6 @@
+//! What operators may do: the map's past, regions in and out, backups, verification.
+
+pub(in crate::store) mod backup;
+pub(in crate::store) mod history;
+pub(in crate::store) mod region;
+pub(in crate::store) mod verify;
