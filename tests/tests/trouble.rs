@@ -116,9 +116,7 @@ async fn a_full_disk_takes_no_uploads_and_localizing_goes_on() {
     let mut scene = Scene::new().await;
     let before = scene.answered().await;
     assert!(before > 5, "{before} of {}", scene.questions.len());
-    // Bytes that sled's file may not have beyond; the journal's segment is shorter, at first.
-    let tiles = fs::metadata(tiles_of(&scene.world.service).join("db")).unwrap().len();
-    for limit in [0, tiles / 2, 0] {
+    for limit in [0, tiles_bytes(&scene.world.service), 0] {
         limits::file_bytes(&scene.world.service, Some(limit));
         let taken = if limit == 0 { scene.send_until_refused().await.len() } else { 0 };
         assert!(taken == 0, "{taken} were acknowledged, nowhere");
@@ -127,15 +125,11 @@ async fn a_full_disk_takes_no_uploads_and_localizing_goes_on() {
             assert_eq!(scene.health("echofix.v1.MappingService").await, ServingStatus::NotServing);
             assert_eq!(scene.health("echofix.v1.LocalizationService").await, ServingStatus::Serving);
         } else {
-            // The journal takes them, the tiles do not.
-            for _ in 0..20 {
+            // The journal, whose file is a new one, takes them; the tiles' file may not grow.
+            until("folding stalls", Duration::from_secs(60), async || {
                 scene.send(scene.uploads.fresh()).await.expect("the journal has room");
-            }
-            until("folding stalls", Duration::from_secs(20), async || {
-                scene.ready()["reason"]
-                    .as_str()
-                    .is_some_and(|reason| reason.contains("folding"))
-                    .then_some(())
+                let ready = scene.ready();
+                ready["reason"].as_str().is_some_and(|reason| reason.contains("folding")).then_some(())
             })
             .await;
         }
@@ -284,6 +278,11 @@ async fn a_removed_lock_file_lets_no_second_service_in() {
     let mut client = grpc::mapping(&service).await;
     let uploads = Uploads::new(town::seed());
     mapping::send(&mut client, &uploads.parts(1)).await.expect("the first one goes on");
+}
+
+/// Bytes that sled's file takes.
+fn tiles_bytes(service: &Service) -> u64 {
+    fs::metadata(tiles_of(service).join("db")).expect("sled has a file").len()
 }
 
 /// The directory of the tiles that are served.

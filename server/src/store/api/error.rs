@@ -61,3 +61,21 @@ pub enum Error {
 pub(in crate::store) fn io_error(doing: &'static str) -> impl Fn(std::io::Error) -> Error {
     move |source| Error::Io { doing, source }
 }
+
+impl Error {
+    /// May it be otherwise without anybody mending what is stored? Of sled's errors only those that say nothing of its
+    /// files: a disk that is full or read-only. What cannot be read may stay so.
+    pub(in crate::store) fn may_pass(&self) -> bool {
+        use std::io::ErrorKind::{
+            FileTooLarge, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull,
+        };
+        let of_the_disk = |kind| {
+            matches!(kind, FileTooLarge | PermissionDenied | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
+        };
+        match self {
+            Self::Io { .. } | Self::NoRoom { .. } | Self::Broken(_) => true,
+            Self::Tiles(sled::Error::Io(error)) => of_the_disk(error.kind()),
+            _ => false,
+        }
+    }
+}

@@ -4,8 +4,10 @@
 //!   pseudonyms are hashed with; [`marker`], [`traces`]: what this store made.
 //! - [`files`]: files that are whole or not there; [`objects`], [`segments`], [`manifest`]: what the store keeps in files.
 //! - [`tables`]: the tables of tiles; [`sled_table`] and [`sled_instance`]: one of them in sled; [`redb_table`]: one in redb;
-//!   [`table_dir`]: its directory; [`fuse`]: when it takes no more; [`room`]: how much room a disk has left.
+//!   [`table_dir`]: its directory; [`fuse`]: when it takes no more; [`room`]: how much room a disk has left; [`ballast`]: some
+//!   that is kept.
 
+mod ballast;
 mod contributor_key;
 mod data_dir;
 mod fence;

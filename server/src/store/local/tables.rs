@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use uuid::Uuid;
 
+use super::ballast;
 use super::data_dir::DataDir;
 use super::redb_table::RedbTable;
 use super::sled_table::SledTable;
@@ -40,12 +41,25 @@ impl LocalTables {
 
 impl TileTables for LocalTables {
     fn create(&self, id: TableId, journal: Uuid) -> Result<Box<dyn TileTable>, Error> {
-        self.opened(TableDir::create(&self.dir.table(id), journal)?)
+        let table = self.opened(TableDir::create(&self.dir.table(id), journal)?)?;
+        ballast::keep(self.dir.root());
+        Ok(table)
     }
 
     fn open(&self, id: TableId) -> Result<Option<Box<dyn TileTable>>, Error> {
         let path = self.dir.table(id);
-        path.exists().then(|| self.opened(TableDir::of(&path))).transpose()
+        if !path.exists() {
+            return Ok(None);
+        }
+        let table = match self.opened(TableDir::of(&path)) {
+            Err(error) if error.may_pass() && ballast::release(self.dir.root()) => {
+                tracing::warn!(%error, "the tiles do not open; trying again with the room that was kept for this");
+                return self.opened(TableDir::of(&path)).map(Some);
+            }
+            opened => opened?,
+        };
+        ballast::keep(self.dir.root());
+        Ok(Some(table))
     }
 
     fn next_number(&self) -> Result<u64, Error> {

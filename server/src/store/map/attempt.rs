@@ -25,6 +25,13 @@ pub(in crate::store) enum TilesError {
     Panicked,
 }
 
+impl TilesError {
+    /// See [`Error::may_pass`].
+    pub(super) fn may_pass(&self) -> bool {
+        matches!(self, Self::Store(error) if error.may_pass())
+    }
+}
+
 /// The outcome of work that may panic, as sled does on some damaged files. What it left in memory must
 /// not be used.
 pub(super) fn caught<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, TilesError> {

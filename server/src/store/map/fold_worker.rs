@@ -25,6 +25,8 @@ pub(in crate::store) struct FoldWorker {
     pub(in crate::store) applied: u64,
     /// The last record it holds.
     pub(in crate::store) folded: u64,
+    /// The generation to fold on, which could not be opened for the moment.
+    pub(in crate::store) unopened: Option<u64>,
 }
 
 /// Folds until the end is called.
@@ -35,6 +37,7 @@ pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
     loop {
         match folder.step(shared, &mut vetting) {
             Ok(false) => return,
+            Ok(true) if folder.on.is_none() => {}
             Ok(true) => {
                 if reminded.take().is_some() {
                     tracing::info!(epoch = folder.folded, "folding goes on");
@@ -69,7 +72,7 @@ impl FoldWorker {
     fn step(&mut self, shared: &StoreContext, vetting: &mut Vetting) -> Result<bool, TilesError> {
         let Some(on) = self.on.clone() else {
             shared.beat.beat();
-            return self.build(shared);
+            return if self.unopened.is_some() { self.open(shared) } else { self.build(shared) };
         };
         shared.beat.rest();
         let next = shared.index.next(self.folded, self.applied);
@@ -87,12 +90,35 @@ impl FoldWorker {
         }
     }
 
+    /// Opens what could not be opened at the start, and serves it.
+    fn open(&mut self, shared: &StoreContext) -> Result<bool, TilesError> {
+        let Some(number) = self.unopened else { return Ok(true) };
+        let publish = shared.settings.policy.publish_contributors;
+        match Generation::open(&*shared.backend.tables, number, shared.journal_id, publish) {
+            Ok(on) if !on.is_whole(self.applied, &shared.index)? => self.unopened = None,
+            Ok(on) => {
+                let on = Arc::new(on);
+                *self = Self { folded: on.folded(), on: Some(on.clone()), unopened: None, ..*self };
+                shared.serve(Some(on));
+                shared.progress.send_modify(|progress| progress.epoch = self.folded);
+                shared.set_state(MapStatus::Serving);
+                tracing::info!(epoch = self.folded, "the tiles are open");
+            }
+            Err(reason) if reason.may_pass() => return Err(reason),
+            Err(reason) => {
+                tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
+                self.unopened = None;
+            }
+        }
+        Ok(true)
+    }
+
     fn build(&mut self, shared: &StoreContext) -> Result<bool, TilesError> {
         let built = caught(|| build::build(shared)).inspect_err(|_| {
             shared.progress.send_modify(|progress| progress.building = None);
         })?;
         let Some(Built { generation, applied, folded }) = built else { return Ok(false) };
-        *self = Self { on: Some(generation), applied, folded };
+        *self = Self { on: Some(generation), applied, folded, unopened: None };
         Ok(true)
     }
 
@@ -113,7 +139,7 @@ impl FoldWorker {
                 self.on = Some(fresh);
             }
             // It is too early; the next step fails again, for the same reason.
-            Err(TilesError::Store(Error::NoRoom { .. } | Error::Io { .. } | Error::Broken(_))) => {}
+            Err(reason) if reason.may_pass() => {}
             Err(reason) => {
                 tracing::error!(%reason, "the tiles that failed cannot be copied; folding new ones");
                 self.on = None;

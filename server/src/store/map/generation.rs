@@ -15,6 +15,7 @@ use super::write_buffer::{Folded, Source};
 use crate::store::api::{Error, QuarantinedRecord};
 use crate::store::backend::objects::Objects;
 use crate::store::backend::tables::{TableId, TableUse, TileTables};
+use crate::store::log::index::JournalIndex;
 
 /// Tiles written at once when many are.
 const BATCH: usize = 64;
@@ -117,6 +118,22 @@ impl Generation {
         Ok(())
     }
 
+    /// Does it hold all that it was made under?
+    ///
+    /// # Errors
+    /// When it holds more than the journal.
+    pub(in crate::store) fn is_whole(&self, applied: u64, index: &JournalIndex) -> Result<bool, Error> {
+        let folded = self.folded();
+        if folded > index.newest() {
+            return Err(journal_is_short(folded, index.newest()));
+        }
+        let whole = folded >= applied.max(index.before());
+        if !whole {
+            tracing::warn!(folded, applied, "the tiles are not whole; folding them anew");
+        }
+        Ok(whole)
+    }
+
     /// The last record it holds.
     pub(in crate::store) fn folded(&self) -> u64 {
         self.folded.load(Ordering::Acquire)
@@ -171,6 +188,17 @@ impl Generation {
 
     fn catalog_mut(&self) -> RwLockWriteGuard<'_, Catalog> {
         self.catalog.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Tiles are folded from records on disk only, so the journal has lost some.
+fn journal_is_short(folded: u64, end: u64) -> Error {
+    Error::Damaged {
+        what: "the journal".to_owned(),
+        reason: format!(
+            "it ends at record {end} but the tiles hold record {folded}: acknowledged uploads are missing. \
+             Restore the journal, or delete the manifest to go on without them"
+        ),
     }
 }
 

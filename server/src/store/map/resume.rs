@@ -28,10 +28,11 @@ pub(in crate::store) fn resume(
         _ => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
     };
     let mut worker = opened(backend, policy, manifest, index)?;
-    if worker.on.is_none() && index.newest() == 0 {
+    if worker.on.is_none() && worker.unopened.is_none() && index.newest() == 0 {
         worker.on = Some(first(backend, policy, journal, lineage)?);
     }
-    backend.tables.clean(journal, worker.on.as_ref().map(|generation| generation.number), sound)?;
+    let served = worker.on.as_ref().map(|generation| generation.number).or(worker.unopened);
+    backend.tables.clean(journal, served, sound)?;
     Ok((lineage, worker))
 }
 
@@ -52,23 +53,24 @@ fn opened(
     manifest: Option<Manifest>,
     index: &JournalIndex,
 ) -> Result<FoldWorker, Error> {
-    let nothing = FoldWorker { on: None, applied: 0, folded: index.before() };
+    let nothing = FoldWorker { on: None, applied: 0, folded: index.before(), unopened: None };
     let Some(Manifest { generation: number, applied, journal, policy, .. }) = manifest else {
         return Ok(nothing);
     };
     match Generation::open(&*backend.tables, number, journal, in_force.publish_contributors) {
-        Ok(on) if on.folded() > index.newest() => Err(journal_is_short(on.folded(), index.newest())),
-        Ok(on) if on.folded() < applied.max(index.before()) => {
-            tracing::warn!(folded = on.folded(), applied, "the tiles are not whole; folding them anew");
-            Ok(nothing)
-        }
+        Ok(on) if !on.is_whole(applied, index)? => Ok(nothing),
         Ok(_) if policy != in_force.digest() => {
             tracing::warn!("what counts and what is served was configured anew; folding the tiles anew");
             Ok(nothing)
         }
         Ok(on) => {
             let folded = on.folded();
-            Ok(FoldWorker { on: Some(Arc::new(on)), applied, folded })
+            Ok(FoldWorker { on: Some(Arc::new(on)), applied, folded, unopened: None })
+        }
+        // The disk or the system refuses, which says nothing of the tiles.
+        Err(reason) if reason.may_pass() && policy == in_force.digest() => {
+            tracing::warn!(%reason, "the tiles cannot be opened for the moment; trying again");
+            Ok(FoldWorker { applied, unopened: Some(number), ..nothing })
         }
         Err(reason) => {
             tracing::warn!(%reason, "the tiles cannot be used; folding them anew");
@@ -86,15 +88,4 @@ fn first(backend: &Backend, policy: &Policy, journal: Uuid, lineage: u64) -> Res
     let manifest = Manifest { journal, generation: id.number, applied: 0, lineage, policy: policy.digest() };
     manifest.write(&*backend.manifests)?;
     Ok(Arc::new(generation))
-}
-
-/// Tiles are folded from records on disk only, so the journal has lost some.
-fn journal_is_short(folded: u64, end: u64) -> Error {
-    Error::Damaged {
-        what: "the journal".to_owned(),
-        reason: format!(
-            "it ends at record {end} but the tiles hold record {folded}: acknowledged uploads are missing. \
-             Restore the journal, or delete the manifest to go on without them"
-        ),
-    }
 }
