@@ -50,11 +50,12 @@ fn open_failing(dir: &Path, faults: &Faults) -> EmbeddedStore {
     EmbeddedStore::over(faults.around(backend), options.settings()).unwrap()
 }
 
-/// Waits until the making of a generation stopped, or until only what comes after it did.
-fn wait_for_fault(store: &EmbeddedStore, faults: &Faults) {
+/// Waits until the making of a generation stopped, or only what comes after it did: then the tiles that were served
+/// before are gone, too.
+fn wait_for_fault(store: &EmbeddedStore, faults: &Faults, dir: &Path) {
     wait_for(store, |p| {
         let made = p.state == MapStatus::Serving && p.epoch == p.journaled && p.building.is_none();
-        faults.injected() > 0 && (p.state == MapStatus::Stalled || made)
+        faults.injected() > 0 && (p.state == MapStatus::Stalled || (made && tiles_dirs(dir).len() == 1))
     });
 }
 
@@ -64,11 +65,15 @@ fn commit_all(store: &EmbeddedStore, uploads: &[UploadRecord]) {
     }
 }
 
+/// The directories of tiles.
+fn tiles_dirs(dir: &Path) -> Vec<PathBuf> {
+    let named = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("tiles-");
+    std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).filter(named).collect()
+}
+
 /// The directory of the tiles that are served.
 fn tiles_dir(dir: &Path) -> PathBuf {
-    let named = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("tiles-");
-    let mut all: Vec<_> =
-        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).filter(named).collect();
+    let mut all = tiles_dirs(dir);
     assert_eq!(all.len(), 1, "{all:?}");
     all.remove(0)
 }

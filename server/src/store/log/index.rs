@@ -4,7 +4,8 @@
 //! bytes an upload, and 29 to 57 for its id, by how full the table is. What the records of a segment have in common is stored
 //! once for all of them.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+mod state;
+
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -14,11 +15,7 @@ use uuid::Uuid;
 use super::entry::{Action, Control, RecordKind, RecordMeta, RecordSubject};
 use super::exclusion::Exclusion;
 use super::position::{RecordPosition, Written};
-
-/// Bytes of records handed out for folding at a time, but for a single larger one.
-const FOLD_BYTES: u64 = 8 << 20;
-/// Records handed out for folding at a time: the map shows them once all are folded.
-const FOLD_RECORDS: usize = 64;
+use state::{DayRun, IndexEntry, IndexState};
 
 /// What the journal holds, in memory.
 #[derive(Default)]
@@ -26,42 +23,6 @@ pub(in crate::store) struct JournalIndex {
     state: Mutex<IndexState>,
     /// A record was written or given up, or the end was called.
     changed: Condvar,
-}
-
-#[derive(Default)]
-struct IndexState {
-    /// Number by upload id.
-    numbers: HashMap<Uuid, u64>,
-    imports: HashMap<(Uuid, TileId), u64>,
-    controls: BTreeMap<u64, Control>,
-    /// Files that records are tiles of.
-    files: BTreeMap<u64, Uuid>,
-    /// Number of the record before the first.
-    before: u64,
-    /// In order of their numbers, and so are the runs they come in.
-    records: Vec<IndexEntry>,
-    runs: Vec<DayRun>,
-    /// Uploads being written.
-    pending: HashSet<Uuid>,
-    ended: bool,
-}
-
-/// A record in the journal, without what its run, the controls and the files say of it.
-#[derive(Clone, Copy)]
-struct IndexEntry {
-    offset: u32,
-    length: u32,
-    /// Of an upload.
-    contributor: u64,
-}
-
-/// Records of one segment that were written on one day.
-struct DayRun {
-    /// Number of the first of them.
-    first: u64,
-    segment: u64,
-    /// UTC day.
-    day: u16,
 }
 
 /// What folding does next.
@@ -334,55 +295,5 @@ impl JournalIndex {
     fn lock(&self) -> MutexGuard<'_, IndexState> {
         // Every change is made in one step: a panic elsewhere leaves the state whole.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl IndexState {
-    fn newest(&self) -> u64 {
-        self.before + self.records.len() as u64
-    }
-
-    fn find(&self, id: Uuid) -> Option<Written> {
-        let number = *self.numbers.get(&id)?;
-        Some(Written { number, at: self.at(number)? })
-    }
-
-    fn get(&self, number: u64) -> Option<&IndexEntry> {
-        self.records.get(number.checked_sub(self.before + 1)? as usize)
-    }
-
-    fn at(&self, number: u64) -> Option<RecordPosition> {
-        let IndexEntry { offset, length, .. } = *self.get(number)?;
-        Some(RecordPosition { segment: self.run(number).segment, offset, length })
-    }
-
-    fn kind(&self, number: u64) -> Option<RecordKind> {
-        let contributor = self.get(number)?.contributor;
-        if self.controls.contains_key(&number) {
-            return Some(RecordKind::Control);
-        }
-        let import = self.files.get(&number).map(|file| RecordKind::Import { file: *file });
-        import.or(Some(RecordKind::Upload { contributor }))
-    }
-
-    fn kinds(&self) -> impl Iterator<Item = (u64, RecordKind)> {
-        (self.before + 1..).map_while(|number| Some((number, self.kind(number)?)))
-    }
-
-    /// The run of a record that was noted.
-    fn run(&self, number: u64) -> &DayRun {
-        &self.runs[self.runs.partition_point(|run| run.first <= number) - 1]
-    }
-
-    fn group(&self, after: u64, last: u64) -> Vec<Written> {
-        let mut bytes = 0;
-        let numbers = after.max(self.before) + 1..=last;
-        let next = numbers.map_while(|number| Some(Written { number, at: self.at(number)? }));
-        let group = next.take_while(|written| {
-            let fits = bytes < FOLD_BYTES;
-            bytes += u64::from(written.at.length);
-            fits
-        });
-        group.take(FOLD_RECORDS).collect()
     }
 }

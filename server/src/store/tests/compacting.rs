@@ -118,7 +118,7 @@ fn a_stop_at_any_step_of_compacting_leaves_a_map_that_goes_on() {
         let whole = bytes(&store);
         faults.name(stop.0, stop.1);
         store.compact(101).unwrap();
-        wait_for_fault(&store, &faults);
+        wait_for_fault(&store, &faults, dir.path());
         let elsewhere = tempfile::tempdir().unwrap();
         copy(dir.path(), elsewhere.path());
         drop(store);

@@ -212,7 +212,7 @@ fn the_map_is_served_while_another_generation_is_made_and_after_any_stop_at_it()
         let before = map(&store);
         faults.name(stop.0, stop.1);
         let epoch = store.rollback(10).unwrap();
-        wait_for_fault(&store, &faults);
+        wait_for_fault(&store, &faults, dir.path());
         if stop.0 != Call::DeleteSegments {
             assert_eq!(store.progress().borrow().epoch, 20);
             let (id, (version, bytes)) = before.first_key_value().unwrap();
