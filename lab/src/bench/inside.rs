@@ -67,6 +67,7 @@ impl InProcessService {
         let settings = vec![key_and_value(TRUSTING)?];
         let config = ServeArgs { settings, ..ServeArgs::default() }.config()?;
         let options = Options {
+            table: config.store.table,
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
             ..Options::new(folder.join("data"), config.mapping.policy())

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
+use crate::store::TableEngine;
 use overlay::Layered;
 
 /// The shipped file: every key, its default and its meaning.
@@ -102,6 +103,8 @@ pub struct HttpConfig {
 pub struct StoreConfig {
     /// The data directory.
     pub data_dir: PathBuf,
+    /// What tiles are stored in.
+    pub table: TableEngine,
     /// Memory for the tile store's cache, MiB.
     pub cache_mib: u64,
     /// Size from which a journal segment is followed by the next, MiB.

@@ -75,6 +75,7 @@ fn mistakes_are_reported_with_their_origin_and_a_hint() {
     assert!(message("[http]\nlisten = 3").contains("must be a string"));
     assert!(message("[http]\nlisten = \"here\"").contains("listen"));
     assert!(message("[http\n").contains("my.toml"));
+    assert!(message("[store]\ntable = \"paper\"").contains("table"));
     assert!(message("[store]\nsegment_mib = 0").contains("`store.segment_mib` must lie within 1 and 1024"));
     let env = load(None, &[("ECHOFIX_LOG_FORMT", "json")], &[]).unwrap_err().to_string();
     assert!(env.contains("ECHOFIX_LOG_FORMT") && env.contains("`log.format`"), "{env}");

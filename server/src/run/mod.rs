@@ -112,6 +112,7 @@ impl Server {
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
         let options = Options {
+            table: config.store.table,
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
             ..Options::new(dir.clone(), config.mapping.policy())

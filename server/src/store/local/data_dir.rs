@@ -24,7 +24,7 @@ use uuid::Uuid;
 use super::contributor_key::ContributorKey;
 use super::fence::Fence;
 use super::lock::Locks;
-use super::marker::marked;
+use super::marker::{self, marked};
 use super::{files, segments, traces};
 use crate::store::api::{Error, io_error};
 use crate::store::backend::owner::Pseudonyms;
@@ -115,7 +115,7 @@ impl DataDir {
             let path = self.root.join(&name);
             match marked(&path) {
                 Some(of) if of == journal && (scratch || replaced) => {
-                    fs::remove_dir_all(&path).map_err(at(&path, "removing old tiles"))?;
+                    marker::remove(&path).map_err(at(&path, "removing old tiles"))?;
                 }
                 Some(_) => self.set_aside(&name, "tiles that do not belong to this journal and manifest")?,
                 None => {

@@ -26,6 +26,19 @@ pub(super) fn mark(dir: &Path, journal: Uuid) -> io::Result<()> {
     put_file(dir, NAME, |file| file.write_all(&bytes))
 }
 
+/// Removes a directory of tiles, its marker last: what a crash leaves of it is known to be this store's still.
+pub(in crate::store) fn remove(dir: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(dir)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            fs::remove_dir_all(path)?;
+        } else if !path.ends_with(NAME) {
+            fs::remove_file(path)?;
+        }
+    }
+    fs::remove_dir_all(dir)
+}
+
 /// The journal that the tiles of a directory were made from; `None` where nothing sound says so.
 pub(super) fn marked(dir: &Path) -> Option<Uuid> {
     let bytes: [u8; LENGTH] = fs::read(dir.join(NAME)).ok()?.try_into().ok()?;

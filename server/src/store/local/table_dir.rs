@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::marker::{mark, marked};
+use super::marker::{self, mark, marked};
 use crate::store::api::{Error, io_error};
 
 /// Attempts to remove a directory that sled's threads are just leaving.
@@ -73,7 +73,7 @@ impl Drop for TableDir {
             let _ = file.set_len(0);
         }
         for _ in 0..REMOVALS {
-            match fs::remove_dir_all(&self.path) {
+            match marker::remove(&self.path) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => {
                     std::thread::sleep(Duration::from_millis(10));
                 }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
 use super::ballast;
@@ -13,7 +14,8 @@ use crate::store::api::Error;
 use crate::store::backend::tables::{TableId, TileTable, TileTables};
 
 /// What tiles are stored in. Tiles that lie in another one are folded anew.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum TableEngine {
     /// sled: a log whose pages are mostly kept in memory.
     #[default]
