@@ -9,6 +9,7 @@
 //! manifest     which tiles are served
 //! tiles-<n>/   sled, a generation of tiles; folded from checkpoint and journal, may be deleted while no server runs
 //! scratch-<n>/ tiles that are folded to be compacted
+//! ballast      room for a start on a full disk
 //! set-aside/   what contradicts the journal, kept for whoever runs the store
 //! ```
 //!
