@@ -147,7 +147,7 @@ struct Figures {
 /// Numbers of compute threads of the service under load.
 const THREADS: [usize; 2] = [1, 2];
 /// More detections than any batch has: the service refuses every request after it has organised it.
-const NEVER_ENOUGH: &str = "locating.min_detections=1000000000";
+const NEVER_ENOUGH: &str = "locating.min_detections=1000000";
 
 /// Measures, with the map in this folder.
 ///
