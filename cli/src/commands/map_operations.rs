@@ -11,6 +11,8 @@ use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
 
+use super::ranges::within;
+
 /// Longest time of an operation: some fold the whole journal again.
 const WITHIN: Duration = Duration::from_hours(1);
 
@@ -20,7 +22,7 @@ pub enum MapOperation {
     /// Show the map's history: uploads, imports and operators' decisions, newest first, with their epochs.
     History {
         /// Largest number of events to show.
-        #[arg(long, default_value_t = 20)]
+        #[arg(long, default_value_t = 20, value_parser = within(1..=1_000_000_u32))]
         limit: u32,
     },
     /// Compare the map at two epochs: which tiles and how many cells differ.
