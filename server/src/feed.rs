@@ -47,7 +47,7 @@ pub struct UploadEvent {
     pub answered_us: i64,
     /// The id that the contributor chose.
     pub upload_id: String,
-    /// `COUNTED`, `DUPLICATE` or the reason of the refusal.
+    /// `COUNTED`, `DUPLICATE` or the reason of the refusal; `QUARANTINED` once vetting kept it out.
     pub outcome: String,
     /// Detections that count.
     pub detections_counted: u64,
@@ -60,17 +60,56 @@ pub struct UploadEvent {
     pub epoch: u64,
 }
 
+/// An upload that vetting kept out of the map.
+#[derive(Debug, Clone, Serialize)]
+pub struct QuarantineEvent {
+    /// Its epoch: the one that the upload was told.
+    pub epoch: u64,
+    /// `SHIFTED`, `ROTATED` or `DISAGREES`.
+    pub reason: &'static str,
+    /// How far it lies beside the map, metres, where that could be measured.
+    pub offset_m: Option<f64>,
+}
+
 /// The last fixes and the last uploads.
 pub struct Feed {
     /// Answers to localization requests.
     pub fixes: Channel<FixEvent>,
     /// Uploads that were counted or refused.
     pub uploads: Channel<UploadEvent>,
+    /// Uploads that vetting kept out of the map.
+    pub quarantined: Channel<QuarantineEvent>,
 }
 
 impl Default for Feed {
     fn default() -> Self {
-        Self { fixes: Channel::new(), uploads: Channel::new() }
+        Self { fixes: Channel::new(), uploads: Channel::new(), quarantined: Channel::new() }
+    }
+}
+
+impl Feed {
+    /// An upload was counted or refused. Vetting may have been faster.
+    pub fn upload(&self, event: UploadEvent) {
+        let epoch = event.epoch;
+        self.uploads.publish(event);
+        if self.quarantined.recent(usize::MAX).iter().any(|kept_out| kept_out.epoch == epoch) {
+            self.mark_quarantined(epoch);
+        }
+    }
+
+    /// Vetting kept an upload out, which was counted before or is told of in a moment.
+    pub fn quarantine(&self, event: QuarantineEvent) {
+        let epoch = event.epoch;
+        self.quarantined.publish(event);
+        self.mark_quarantined(epoch);
+    }
+
+    fn mark_quarantined(&self, epoch: u64) {
+        self.uploads.amend(|upload| {
+            if upload.epoch == epoch && upload.outcome == "COUNTED" {
+                "QUARANTINED".clone_into(&mut upload.outcome);
+            }
+        });
     }
 }
 
@@ -96,6 +135,11 @@ impl<T: Clone> Channel<T> {
         let _ = self.live.send(event);
     }
 
+    /// Changes what is remembered; listeners are told by an event of their own.
+    pub fn amend(&self, change: impl FnMut(&mut T)) {
+        self.lock().iter_mut().for_each(change);
+    }
+
     /// The newest events, at most `limit`, oldest first.
     pub fn recent(&self, limit: usize) -> Vec<T> {
         let recent = self.lock();
@@ -117,6 +161,29 @@ impl<T: Clone> Channel<T> {
 mod tests {
     use super::*;
 
+    /// Catches: a quarantined upload that stays "counted", because vetting was faster than the answer.
+    #[test]
+    fn a_quarantined_upload_is_marked_whichever_comes_first() {
+        let feed = Feed::default();
+        let upload = |epoch| UploadEvent {
+            answered_us: 0,
+            upload_id: String::new(),
+            outcome: "COUNTED".to_owned(),
+            detections_counted: 1,
+            detections_dropped: 0,
+            tiles: 1,
+            epoch,
+        };
+        let kept_out = |epoch| QuarantineEvent { epoch, reason: "SHIFTED", offset_m: Some(1.5) };
+        feed.upload(upload(1));
+        feed.quarantine(kept_out(1));
+        feed.quarantine(kept_out(2));
+        feed.upload(upload(2));
+        feed.upload(upload(3));
+        let outcomes: Vec<_> = feed.uploads.recent(3).into_iter().map(|upload| upload.outcome).collect();
+        assert_eq!(outcomes, ["QUARANTINED", "QUARANTINED", "COUNTED"]);
+    }
+
     #[test]
     fn the_memory_is_bounded_and_keeps_the_newest() {
         let channel = Channel::new();
@@ -125,5 +192,7 @@ mod tests {
         assert_eq!(channel.recent(2), [RECENT + 8, RECENT + 9]);
         assert_eq!(channel.recent(usize::MAX).len(), RECENT);
         assert!(listener.try_recv().is_err(), "a listener that slept learns that it missed events");
+        channel.amend(|event| *event += 1000);
+        assert_eq!(channel.recent(1), [RECENT + 1009]);
     }
 }

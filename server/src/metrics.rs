@@ -38,6 +38,12 @@ pub struct Metrics {
     pub windows: Family<OutcomeLabel, Counter>,
     /// Sampled checks by outcome: the exact engine agrees (`agree`) or does not (`differ`).
     pub confirmations: Family<OutcomeLabel, Counter>,
+    /// Uploads that vetting kept out of the map, by reason.
+    pub quarantined: Family<OutcomeLabel, Counter>,
+    /// Uploads that are in quarantine.
+    pub in_quarantine: Gauge,
+    /// Places where several contributors disagree with the map alike.
+    pub alarms: Gauge,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
     /// Uploads in the journal that are not folded yet.
@@ -58,6 +64,9 @@ impl Default for Metrics {
             commit_seconds: seconds(),
             windows: Family::default(),
             confirmations: Family::default(),
+            quarantined: Family::default(),
+            in_quarantine: Gauge::default(),
+            alarms: Gauge::default(),
             epoch: Gauge::default(),
             unfolded: Gauge::default(),
         };
@@ -84,6 +93,11 @@ impl Metrics {
         r.register("windows", "Requests by whether all their tiles were prepared", self.windows.clone());
         let help = "Sampled checks: answers repeated with an exact engine, by outcome";
         r.register("confirmations", help, self.confirmations.clone());
+        let help = "Uploads that vetting kept out of the map, by reason";
+        r.register("quarantined", help, self.quarantined.clone());
+        r.register("in_quarantine", "Uploads in quarantine", self.in_quarantine.clone());
+        let help = "Places where several contributors disagree with the map alike";
+        r.register("alarms", help, self.alarms.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
         r.register("unfolded_contributions", "Uploads in the journal not folded yet", self.unfolded.clone());
     }

@@ -111,12 +111,52 @@ fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
     };
     let offline = offline["fixes"].as_array().unwrap();
     assert!(offline.iter().map(alike).eq(fixes.iter().map(alike)), "{offline:?}\n{fixes:?}");
+    let strict = echofix(["localize", &csv, "--offline", &tiles, "--every-s", "10", "--fail-under", "1.0"]);
+    let all = strict.stdout.contains("questions: USABLE");
+    assert!(strict.code == Some(1) && strict.stderr.contains("usable") || all, "{strict:?}");
     let nowhere = echofix(["localize", &csv, "--offline", &folder.path("nowhere")]);
     assert!(nowhere.code == Some(1) && nowhere.stderr.contains("tiles sync"), "{nowhere:?}");
 
     // Once more for people: no JSON, the same counts.
     let text = echofix(["localize", &csv, "--server", &service.grpc, "--every-s", "10"]);
     assert!(text.code == Some(0) && text.stdout.contains("questions: "), "{text:?}");
+}
+
+/// Catches: an argument that hangs the command or makes it compute nothing for minutes, and a log that is written over.
+#[test]
+fn numbers_that_make_no_sense_are_refused_and_logs_are_kept() {
+    let folder = Folder::new();
+    let log = folder.path("drive.mcap");
+    for (command, argument, value) in [
+        ("localize", "--at-once", "0"),
+        ("localize", "--batch-s", "nan"),
+        ("localize", "--sigma-position-m", "-1"),
+        ("localize", "--max-range-m", "inf"),
+        ("map", "--max-sigma-m", "0"),
+        ("simulate", "--wander-m", "nan"),
+        ("simulate", "--wander-m", "1e300"),
+    ] {
+        let run = echofix([command, &log, &format!("{argument}={value}")]);
+        assert!(run.code == Some(2) && run.stderr.contains("must lie within"), "{argument} {value}: {run:?}");
+    }
+    fs::write(&log, "a log of somebody").unwrap();
+    let run = echofix(["simulate", &log, "--wander-m", "60"]);
+    assert!(run.code == Some(1) && run.stderr.contains("--force"), "{run:?}");
+    assert_eq!(fs::read_to_string(&log).unwrap(), "a log of somebody");
+}
+
+/// Catches: a log that cannot be read and takes the others with it.
+#[test]
+fn what_is_good_of_several_logs_is_mapped() {
+    let (folder, service) = (Folder::new(), Service::start());
+    let (good, bad) = (folder.path("good.mcap"), folder.path("bad.mcap"));
+    simulated(&good, "0", "mapper", "150");
+    fs::write(&bad, "no log").unwrap();
+    let spool = folder.path("spool");
+    let run = echofix(["map", &bad, &good, "--server", &service.grpc, "--spool", &spool, "--json"]);
+    assert_eq!(run.code, Some(1), "{run:?}");
+    assert!(run.stderr.contains("1 of 2 drives") && run.stderr.contains("bad.mcap"), "{run:?}");
+    assert!(run.stdout.contains("\"uploads\":"), "{run:?}");
 }
 
 /// Catches a format that loses something: both hold the same drive.

@@ -16,7 +16,7 @@ use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turn
 use echofix_tests::mapping::{contribute, folded, send, uploads};
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, Tiles};
-use echofix_tests::{grpc, http, town, until_blocking};
+use echofix_tests::{command, grpc, http, town, until_blocking};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -97,6 +97,7 @@ async fn what_lies_beside_the_map_is_kept_out() {
         assert!((off("east_m") + 2.0).hypot(off("north_m")) < 0.4, "{upload}");
     }
     assert!(tiles::all(&service).await == before, "not a byte changes");
+    is_seen(&service, sent);
 
     let epoch = folded(&service).await;
     let sent = contribute(&service, &turned(street(&city, 6, "dizzy"), 3_f64.to_radians())).await.len();
@@ -110,6 +111,23 @@ async fn what_lies_beside_the_map_is_kept_out() {
     contribute(&service, &street(&city, 9, "carla")).await;
     assert_eq!(kept_out_after(&service, epoch), [Value::Null; 0], "an honest one of another day counts");
     assert!(tiles::all(&service).await != before);
+}
+
+/// Catches: an operator who looks where operators look, and sees nothing but "counted".
+fn is_seen(service: &Service, kept_out: usize) {
+    let ask = |path: &str| http::get(&format!("{}{path}", service.http));
+    until_blocking("the feed says so", Duration::from_secs(10), || {
+        let uploads = ask("/api/v1/uploads?limit=500").json();
+        let uploads = uploads["uploads"].as_array().expect("uploads are a list").clone();
+        let marked = uploads.iter().filter(|upload| upload["outcome"] == "QUARANTINED").count();
+        let counted = http::metric(ask("/metrics").text(), "echofix_quarantined_total{outcome=\"SHIFTED\"}");
+        let there = http::metric(ask("/metrics").text(), "echofix_in_quarantine");
+        (marked == kept_out && counted == kept_out as f64 && there == kept_out as f64).then_some(())
+    });
+    assert!(service.log().contains("vetting kept an upload out of the map"));
+    let run = command::echofix(["map", "quarantine", "--http", &service.http]);
+    assert!(run.code == Some(0) && run.stdout.contains(&format!("{kept_out} uploads are in quarantine")), "{run:?}");
+    assert!(run.stdout.contains("shifted"), "{run:?}");
 }
 
 /// Catches: quarantined uploads that come to count once they are many.

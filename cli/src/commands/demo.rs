@@ -19,6 +19,7 @@ use echofix_harness::{progress, recording, town, uploading};
 use echofix_sim::{City, CityParams, Route};
 
 use super::localize;
+use super::ranges::within;
 use report::Report;
 
 /// Arguments of `echofix demo`.
@@ -28,10 +29,10 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Vehicles that map the town on the first day.
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = within(1..=1000_u64))]
     contributors: u64,
     /// Seconds between the requests of the localizing vehicle.
-    #[arg(long, default_value_t = 1.5)]
+    #[arg(long, default_value_t = 1.5, value_parser = within(0.05..=86_400.0))]
     every_s: f64,
     /// Write every fix to this CSV file.
     #[arg(long)]
@@ -145,7 +146,7 @@ async fn localize(
     let replay = ask(&drive, &patient_localizer(&service.grpc)?, &plan, 2, &bar).await?;
     bar.finish_and_clear();
     if let Some(out) = &args.out {
-        localize::write(out, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
+        localize::write(localize::writer(out)?, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
     }
     Ok(replay.summary())
 }

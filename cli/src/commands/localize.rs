@@ -1,5 +1,6 @@
 //! `echofix localize`: the service, or this machine from tiles of its own, localizes the batches of a drive log.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -15,6 +16,7 @@ use echofix_harness::replay::{ask, patient_localizer};
 use echofix_harness::summary::FixSummary;
 
 use super::ScanRange;
+use super::ranges::within;
 use crate::offline::OfflineLocalizer;
 
 /// Arguments of `echofix localize`.
@@ -32,47 +34,55 @@ pub struct Args {
     #[arg(long)]
     scans: Option<ScanRange>,
     /// Seconds between requests; 0 sends one at every scan.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = within(0.0..=86_400.0))]
     every_s: f64,
     /// Length of a batch, seconds.
-    #[arg(long, default_value_t = 5.0)]
+    #[arg(long, default_value_t = 5.0, value_parser = within(0.0..=60.0))]
     batch_s: f64,
     /// Seconds from the first scan to the first request.
-    #[arg(long, default_value_t = 5.0)]
+    #[arg(long, default_value_t = 5.0, value_parser = within(0.0..=86_400.0))]
     warm_up_s: f64,
     /// Requests for each batch, each with another random prior around the known pose.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = within(1..=100_000_usize))]
     priors: usize,
     /// Standard deviation of the priors' position along each axis, metres.
-    #[arg(long, default_value_t = 2.0)]
+    #[arg(long, default_value_t = 2.0, value_parser = within(0.001..=1000.0))]
     sigma_position_m: f64,
     /// Standard deviation of the priors' heading, degrees.
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 3.0, value_parser = within(0.001..=180.0))]
     sigma_yaw_deg: f64,
     /// Seed of the random priors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Largest range of a detection, metres. Farther ones are dropped. The service has its own limit, `radar.max_range_m`.
-    #[arg(long, default_value_t = MAX_RANGE_M)]
+    #[arg(long, default_value_t = MAX_RANGE_M, value_parser = within(1.0..=1000.0))]
     max_range_m: f64,
     /// Standard deviation of the odometry's velocity over a batch, metres per second.
-    #[arg(long, default_value_t = OdometryQuality::default().velocity_mps)]
+    #[arg(long, default_value_t = OdometryQuality::default().velocity_mps, value_parser = within(0.0..=10.0))]
     odometry_sigma_mps: f64,
     /// Standard deviation of the odometry's yaw rate over a batch, degrees per second.
-    #[arg(long, default_value_t = OdometryQuality::default().yaw_rate_radps.to_degrees())]
+    #[arg(
+        long,
+        default_value_t = OdometryQuality::default().yaw_rate_radps.to_degrees(),
+        value_parser = within(0.0..=57.0)
+    )]
     odometry_sigma_degps: f64,
     /// Requests that wait for their fixes at the same time.
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_parser = within(1..=1000_usize))]
     at_once: usize,
     /// Write every fix to this CSV file.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// End with exit code 1 if a smaller fraction of the answers is usable, 0 to 1.
+    #[arg(long, value_parser = within(0.0..=1.0))]
+    fail_under: Option<f64>,
 }
 
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the log cannot be read, the truth is not known, or the service is out of reach.
+/// When the log cannot be read, the truth is not known, the service is out of reach, no question is answered, or fewer answers
+/// than asked for are usable.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let mut drive =
         drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
@@ -93,14 +103,16 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
             yaw_rate_radps: args.odometry_sigma_degps.to_radians(),
         },
     };
+    // What cannot be written is told before an hour of questions.
+    let out = args.out.as_ref().map(|out| Ok::<_, anyhow::Error>((out, writer(out)?))).transpose()?;
     let bar = progress::bar("localizing", 0, json);
     let replay = match &args.offline {
         Some(tiles) => ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?,
         None => ask(&drive, &patient_localizer(&args.server)?, &plan, args.at_once, &bar).await?,
     };
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        write(out, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
+    if let Some((out, writer)) = out {
+        write(writer, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
     }
     let summary = replay.summary();
     if json {
@@ -115,15 +127,39 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
             println!("suspicious: {finding}");
         }
     }
+    succeeded(&replay.fixes, args.fail_under)
+}
+
+/// Scripts read the exit code.
+fn succeeded(fixes: &[FixRecord], fail_under: Option<f64>) -> anyhow::Result<()> {
+    let answered = fixes.iter().filter(|fix| fix.latitude_deg.is_some()).count();
+    let usable = fixes.iter().filter(|fix| fix.usable).count();
+    anyhow::ensure!(answered > 0, "none of {} questions was answered", fixes.len());
+    let share = usable as f64 / fixes.len() as f64;
+    if let Some(least) = fail_under {
+        anyhow::ensure!(
+            share >= least,
+            "{:.1} % of the answers are usable, less than {:.1} %",
+            1e2 * share,
+            1e2 * least
+        );
+    }
     Ok(())
+}
+
+/// A CSV file to write fixes to.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn writer(out: &Path) -> anyhow::Result<csv::Writer<File>> {
+    csv::Writer::from_path(out).with_context(|| format!("writing {}", out.display()))
 }
 
 /// Writes fixes into a CSV file.
 ///
 /// # Errors
 /// When it cannot be written.
-pub fn write(out: &Path, fixes: &[FixRecord]) -> anyhow::Result<()> {
-    let mut writer = csv::Writer::from_path(out)?;
+pub fn write(mut writer: csv::Writer<File>, fixes: &[FixRecord]) -> anyhow::Result<()> {
     for fix in fixes {
         writer.serialize(fix)?;
     }

@@ -1,6 +1,6 @@
 //! `echofix map`: uploads drive logs to the map, and offers what operators do with the map.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use echofix_client::drivelog;
@@ -11,6 +11,7 @@ use echofix_harness::uploading::{UploadedDrive, upload};
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
+use super::ranges::within;
 
 /// The operators' words, where they are needed first.
 const WORDS: &str = "\
@@ -60,19 +61,19 @@ pub struct Args {
     scans: Option<ScanRange>,
     /// Largest range of a detection, metres. Farther ones are dropped. Raw uploads (--raw) are held against the service's
     /// `radar.max_range_m`, too.
-    #[arg(long, default_value_t = MAX_RANGE_M)]
+    #[arg(long, default_value_t = MAX_RANGE_M, value_parser = within(1.0..=1000.0))]
     max_range_m: f64,
     /// Largest standard deviation of a pose's position, metres. Less certain poses add nothing to the map. The service
     /// has its own limit, `mapping.max_sigma_position_m`.
-    #[arg(long, default_value_t = 0.3)]
+    #[arg(long, default_value_t = 0.3, value_parser = within(0.001..=100.0))]
     max_sigma_m: f64,
     /// Largest standard deviation of a pose's heading, degrees. Less certain poses add nothing to the map. The service
     /// has its own limit, `mapping.max_sigma_yaw_deg`.
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, default_value_t = 0.5, value_parser = within(0.001..=180.0))]
     max_sigma_yaw_deg: f64,
     /// Upload nothing within this distance of where a drive began and ended, metres. Vehicles leave out 100 m, to protect
     /// where people live. This command leaves out nothing unless told to: the logs are the operator's own.
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = within(0.0..=100_000.0))]
     trim_ends_m: f64,
 }
 
@@ -94,16 +95,33 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
         trim_ends_m: args.trim_ends_m,
         ..RecorderConfig::default()
     };
+    let mut failed = 0;
     for path in &args.drives {
-        let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
-        if let Some(scans) = &args.scans {
-            scans.apply(&mut drive);
+        match map_drive(path, &args, config, json).await {
+            Ok(()) => {}
+            Err(error) if args.drives.len() == 1 => return Err(error),
+            // What is good of the rest is sent all the same.
+            Err(error) => {
+                eprintln!("{}: {error:#}", path.display());
+                failed += 1;
+            }
         }
-        let bar = progress::bar("uploading", 0, json);
-        let done = upload(&drive, &args.server, &args.spool, config, &bar).await?;
-        bar.finish_and_clear();
-        report(&path.display().to_string(), &done, json)?;
     }
+    anyhow::ensure!(failed == 0, "{failed} of {} drives were not mapped", args.drives.len());
+    Ok(())
+}
+
+async fn map_drive(path: &Path, args: &Args, config: RecorderConfig, json: bool) -> anyhow::Result<()> {
+    let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    if let Some(scans) = &args.scans {
+        scans.apply(&mut drive);
+    }
+    let bar = progress::bar("uploading", 0, json);
+    let done = upload(&drive, &args.server, &args.spool, config, &bar).await?;
+    bar.finish_and_clear();
+    report(&path.display().to_string(), &done, json)?;
+    let nothing = done.uploads + done.duplicates == 0 && done.refused > 0;
+    anyhow::ensure!(!nothing, "every upload of {} was refused", path.display());
     Ok(())
 }
 

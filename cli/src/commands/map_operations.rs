@@ -11,6 +11,8 @@ use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
 
+use super::ranges::within;
+
 /// Longest time of an operation: some fold the whole journal again.
 const WITHIN: Duration = Duration::from_hours(1);
 
@@ -20,9 +22,12 @@ pub enum MapOperation {
     /// Show the map's history: uploads, imports and operators' decisions, newest first, with their epochs.
     History {
         /// Largest number of events to show.
-        #[arg(long, default_value_t = 20)]
+        #[arg(long, default_value_t = 20, value_parser = within(1..=1_000_000_u32))]
         limit: u32,
     },
+    /// Show the uploads that vetting kept out of the map, newest first, and the alarms: where several contributors disagree with
+    /// the map alike.
+    Quarantine,
     /// Compare the map at two epochs: which tiles and how many cells differ.
     Diff {
         /// The earlier epoch.
@@ -93,6 +98,7 @@ pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<(
             let body = port.get(&format!("history?limit={limit}"))?;
             return show(&body, json, history);
         }
+        MapOperation::Quarantine => return show(&port.get("quarantine")?, json, quarantine),
         MapOperation::Diff { from, to } => {
             let body = port.get(&format!("diff?from={from}&to={to}"))?;
             return show(&body, json, diff);
@@ -152,6 +158,32 @@ fn history(body: &Value) {
         let back = back.iter().find_map(|(key, words)| Some((event[*key].as_u64()?, words)));
         let back = back.filter(|(count, _)| *count > 0).map(|(count, words)| format!("; {count} {words}"));
         println!("{epochs:>15}  {date}  {what}{}", back.unwrap_or_default());
+    }
+}
+
+fn quarantine(body: &Value) {
+    println!("{} uploads are in quarantine", body["quarantined"]);
+    let place = |of: &Value| match (of["place"]["lat"].as_f64(), of["place"]["lon"].as_f64()) {
+        (Some(lat), Some(lon)) => format!("{lat:.6} {lon:.6}"),
+        _ => "at an unknown place".to_owned(),
+    };
+    let offset = |of: &Value| match (of["offset"]["east_m"].as_f64(), of["offset"]["north_m"].as_f64()) {
+        (Some(east), Some(north)) => format!("{east:+.2} m east, {north:+.2} m north"),
+        _ => String::new(),
+    };
+    for upload in body["uploads"].as_array().into_iter().flatten() {
+        let word = |key: &str| upload[key].as_str().unwrap_or_default().to_lowercase();
+        let epoch = upload["epoch"].to_string();
+        println!("{epoch:>9}  {}  {:<10} {}  {}", word("date"), word("reason"), place(upload), offset(upload));
+    }
+    for alarm in body["alarms"].as_array().into_iter().flatten() {
+        let since = alarm["since"].as_str().unwrap_or_default();
+        let by = if alarm["kind"] == "SHIFT" { offset(alarm) } else { "something else than the map".to_owned() };
+        println!(
+            "ALARM: {} contributors agree at {} since {since}: {by}",
+            alarm["contributors"],
+            place(alarm)
+        );
     }
 }
 

@@ -6,6 +6,7 @@ pub mod import;
 pub mod localize;
 pub mod map;
 mod map_operations;
+mod ranges;
 pub mod serve;
 pub mod simulate;
 pub mod status;

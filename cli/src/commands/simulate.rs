@@ -7,6 +7,8 @@ use echofix_client::drivelog;
 use echofix_harness::town;
 use echofix_sim::{City, CityParams, Route};
 
+use super::ranges::within;
+
 /// Arguments of `echofix simulate`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -16,7 +18,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     city: u64,
     /// Day of the drive, counted from 0. Parked cars and traffic change from day to day.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = within(0..=36_500_u32))]
     day: u32,
     /// Seed of the drive: its route and its noise.
     #[arg(long, default_value_t = 1)]
@@ -25,15 +27,20 @@ pub struct Args {
     #[arg(long, default_value = "simulated")]
     vehicle: String,
     /// Drive a random route of this length, metres. Without it, the route goes once through every street.
-    #[arg(long)]
+    #[arg(long, value_parser = within(1.0..=1e6))]
     wander_m: Option<f64>,
+    /// Write over what is there.
+    #[arg(long)]
+    force: bool,
 }
 
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the town cannot be made or the log cannot be written.
+/// When the town cannot be made, something is in the log's place, or the log cannot be written.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    let taken = args.out.is_file() || std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
+    anyhow::ensure!(!taken || args.force, "{} is there already; --force writes over it", args.out.display());
     let city = City::generate(&CityParams { seed: args.city, ..CityParams::default() })?;
     let route = match args.wander_m {
         Some(length_m) => Route::wander(&city, args.seed, length_m),

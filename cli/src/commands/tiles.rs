@@ -7,6 +7,8 @@ use echofix_client::service::ServiceAddress;
 use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_proto::v1::GeodeticBox;
 
+use super::ranges::within;
+
 /// Arguments of `echofix tiles`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -28,7 +30,7 @@ enum TilesOperation {
         #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
         server: String,
         /// Largest size of the folder, megabytes. Beyond it, the tiles that were not used for the longest time are removed.
-        #[arg(long, default_value_t = 1_000)]
+        #[arg(long, default_value_t = 1_000, value_parser = within(1..=1_000_000_000_u64))]
         max_mb: u64,
     },
 }

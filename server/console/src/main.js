@@ -13,7 +13,7 @@ const KEPT = 500;
 // Asked before the map begins to write its view there.
 const framed = location.hash.includes('view=');
 const map = createMap();
-const state = { fixes: [], uploads: [], layer: 'evidence', seen: undefined, framed };
+const state = { fixes: [], uploads: [], kept: [], layer: 'evidence', seen: undefined, framed };
 
 // What is shown: the layer, its legend, the numbers.
 
@@ -110,6 +110,12 @@ map.once('load', () => {
   setInterval(() => document.hidden || redraw(), 1000);
 });
 
+/** An upload, with what vetting said of it. */
+function marked(upload) {
+  const kept = upload.epoch && state.kept.find(({ epoch }) => epoch === upload.epoch);
+  return kept ? { ...upload, outcome: 'QUARANTINED', kept } : upload;
+}
+
 follow({
   open() {
     showStream('live');
@@ -129,7 +135,13 @@ follow({
     redraw();
   },
   upload(upload) {
-    state.uploads = [upload, ...state.uploads].slice(0, 50);
+    state.uploads = [upload, ...state.uploads].slice(0, 50).map(marked);
+    redraw();
+  },
+  quarantine(event) {
+    // It may come before the upload itself.
+    state.kept = [event, ...state.kept].slice(0, 50);
+    state.uploads = state.uploads.map(marked);
     redraw();
   },
   missed: () => quietly(loadFeeds)(),

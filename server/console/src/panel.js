@@ -121,6 +121,7 @@ export function showUploads(uploads) {
       el('div', {},
         el('i', { className: 'dot', data: { tone: tone(upload.outcome) } }),
         el('b', { textContent: words(upload.outcome) }),
+        el('span', { textContent: upload.kept ? whyKept(upload.kept) : '' }),
         el('span', { textContent: upload.detections_counted ? `${count(upload.detections_counted)} det` : '' }),
         el('span', { textContent: upload.tiles ? `${upload.tiles} tiles` : '' }),
         el('span', { textContent: upload.epoch ? `epoch ${upload.epoch}` : '' }),
@@ -130,6 +131,9 @@ export function showUploads(uploads) {
   const none = el('li', { className: 'none', textContent: 'None since the service started.' });
   fill(byId('uploads'), uploads.length ? uploads.slice(0, SHOWN_UPLOADS).map(row) : [none]);
 }
+
+const whyKept = ({ reason, offset_m }) =>
+  offset_m == null ? words(reason) : `${words(reason)} by ${offset_m.toFixed(1)} m`;
 
 /** Replaces a list's rows and keeps the keyboard where it was. */
 function fill(list, rows) {

@@ -9,7 +9,7 @@ export async function ask(path) {
   throw Object.assign(new Error(message), { status: response.status });
 }
 
-const KINDS = ['fix', 'upload', 'map', 'health', 'missed'];
+const KINDS = ['fix', 'upload', 'quarantine', 'map', 'health', 'missed'];
 const LONGEST_WAIT_MS = 15_000;
 
 /**

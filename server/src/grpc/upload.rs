@@ -153,7 +153,7 @@ impl MappingApi {
             }
         };
         let dropped = response.dropped.unwrap_or_default();
-        self.feed.uploads.publish(UploadEvent {
+        self.feed.upload(UploadEvent {
             answered_us: now_us(),
             upload_id: id.to_string(),
             outcome: word.to_owned(),

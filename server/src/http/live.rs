@@ -68,6 +68,7 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
         .merge(health)
         .merge(feed_events("fix", feed.fixes.subscribe()))
         .merge(feed_events("upload", feed.uploads.subscribe()))
+        .merge(feed_events("quarantine", feed.quarantined.subscribe()))
         .map(Some);
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {

@@ -47,6 +47,7 @@ use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
+pub use operations::reason_word;
 pub use origin::Hosts;
 
 /// What the routes answer from.

@@ -88,12 +88,17 @@ pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> 
     Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))
 }
 
-fn quarantined(quarantined: &QuarantinedRecord) -> Value {
-    let reason = match quarantined.reason {
+/// Why vetting kept an upload out, in one word.
+pub fn reason_word(reason: Reason) -> &'static str {
+    match reason {
         Reason::Shifted => "SHIFTED",
         Reason::Rotated => "ROTATED",
         Reason::Disagrees => "DISAGREES",
-    };
+    }
+}
+
+fn quarantined(quarantined: &QuarantinedRecord) -> Value {
+    let reason = reason_word(quarantined.reason);
     let upload = &quarantined.upload;
     json!({
         "epoch": quarantined.number, "reason": reason, "date": iso_date(upload.day),

@@ -185,6 +185,10 @@ impl MapStore for FakeStore {
 }
 
 impl Operations for FakeStore {
+    fn kept_out(&self) -> tokio::sync::broadcast::Receiver<QuarantinedRecord> {
+        tokio::sync::broadcast::Sender::new(1).subscribe()
+    }
+
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         Ok(Vec::new())
     }

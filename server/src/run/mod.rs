@@ -4,12 +4,14 @@
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
 //! - [`retention`]: old uploads are compacted.
+//! - [`quarantine`]: what vetting keeps out is told.
 //! - [`signals`]: when to end.
 
 mod connections;
 mod follow;
 mod grpc;
 mod http;
+mod quarantine;
 mod retention;
 mod signals;
 
@@ -158,6 +160,7 @@ impl Server {
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
         let retention = tokio::spawn(retention::keep(shared.clone()));
+        let quarantine = tokio::spawn(quarantine::tell(shared.clone()));
         let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
         let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -168,6 +171,7 @@ impl Server {
         tracing::info!("draining");
         follower.abort();
         retention.abort();
+        quarantine.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");

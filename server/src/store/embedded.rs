@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::time::day_of;
-use tokio::sync::watch;
+use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
@@ -246,6 +246,10 @@ impl Operations for EmbeddedStore {
 
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         self.shared.readable()?.tiles.quarantined()
+    }
+
+    fn kept_out(&self) -> broadcast::Receiver<QuarantinedRecord> {
+        self.shared.kept_out.subscribe()
     }
 
     fn history(&self, limit: usize) -> Vec<HistoryEvent> {

@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 
+use tokio::sync::broadcast;
 use uuid::Uuid;
 
 use super::{Error, HistoryEvent, Imported, QuarantinedRecord, Region, Snapshot, TileDiff, Verified};
@@ -40,6 +41,9 @@ pub trait Operations: Send + Sync {
     /// # Errors
     /// When the map is being rebuilt, or the disk refuses.
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error>;
+
+    /// Follows what vetting keeps out of the map from now on; a slow listener misses some.
+    fn kept_out(&self) -> broadcast::Receiver<QuarantinedRecord>;
 
     /// What happened to the map, newest first: uploads by runs, controls one by one. What was compacted is
     /// not listed any more.

@@ -4,13 +4,13 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
-use tokio::sync::watch;
+use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use super::checkpoint::Checkpoint;
 use super::generation::Generation;
 use super::policy::Policy;
-use crate::store::api::{Error, MapProgress, MapStatus, StoreClock};
+use crate::store::api::{Error, MapProgress, MapStatus, QuarantinedRecord, StoreClock};
 use crate::store::backend::Backend;
 use crate::store::log::index::JournalIndex;
 use crate::store::log::journal::Journal;
@@ -55,6 +55,9 @@ pub(in crate::store) struct Settings {
     pub(in crate::store) retry: Duration,
 }
 
+/// Quarantined uploads that a slow listener may be behind.
+const TOLD: usize = 256;
+
 /// What the store and its folding thread share.
 pub(in crate::store) struct StoreContext {
     pub(in crate::store) settings: Settings,
@@ -70,6 +73,8 @@ pub(in crate::store) struct StoreContext {
     pub(in crate::store) compacted_uploads: AtomicU64,
     /// Tells that the folding thread works.
     pub(in crate::store) beat: Heartbeat,
+    /// What vetting keeps out of the served generation, as it comes.
+    pub(in crate::store) kept_out: broadcast::Sender<QuarantinedRecord>,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
     /// Declared last: given up when all else is closed.
@@ -98,6 +103,7 @@ impl StoreContext {
             compacted_uploads: AtomicU64::new(checkpoint.uploads.saturating_sub(twice)),
             checkpoint: RwLock::new(checkpoint),
             beat: Heartbeat::default(),
+            kept_out: broadcast::Sender::new(TOLD),
             deciding: Mutex::default(),
             backend,
         }

@@ -89,16 +89,18 @@ fn fold_record(
     }
 }
 
-/// Folds a group of records, each tile read and written once, unless there are very many of them.
+/// Folds a group of records, each tile read and written once, unless there are very many of them. Returns what vetting
+/// kept out.
 pub(super) fn fold_group(
     (journal, buffer_tiles): (&Journal, usize),
     sink: &mut impl Sink,
     counted: &[Written],
     folded: u64,
     vetting: &mut Vetting,
-) -> Result<(), Error> {
+) -> Result<Vec<QuarantinedRecord>, Error> {
     let mut reader = journal.reader();
     let mut left = counted.iter();
+    let mut kept_out = Vec::new();
     loop {
         let mut buffer = WriteBuffer::new(sink, buffer_tiles);
         let (mut quarantined, mut up_to) = (Vec::new(), folded);
@@ -112,8 +114,9 @@ pub(super) fn fold_group(
         }
         let changed: Vec<_> = buffer.into_changed().collect();
         sink.write(changed.into_iter(), &quarantined, up_to)?;
+        kept_out.append(&mut quarantined);
         if left.as_slice().is_empty() {
-            return Ok(());
+            return Ok(kept_out);
         }
     }
 }

@@ -10,7 +10,7 @@ use super::context::StoreContext;
 use super::fold::fold_group;
 use super::generation::Generation;
 use super::vetting::Vetting;
-use crate::store::api::{Error, MapStatus};
+use crate::store::api::{Error, MapStatus, QuarantinedRecord};
 use crate::store::log::index::NextFold;
 use crate::store::log::position::Written;
 
@@ -82,9 +82,13 @@ impl FoldWorker {
             Some(NextFold::Build) => self.build(shared),
             Some(NextFold::Records(group)) => {
                 let newest = group.last().map_or(self.folded, |written| written.number);
-                caught(|| fold(shared, &on, &group, newest, vetting))?;
+                let kept_out = caught(|| fold(shared, &on, &group, newest, vetting))?;
                 self.folded = newest;
                 shared.progress.send_modify(|progress| progress.epoch = newest);
+                for record in kept_out {
+                    // Nobody needs to listen.
+                    let _ = shared.kept_out.send(record);
+                }
                 Ok(true)
             }
         }
@@ -154,6 +158,6 @@ fn fold(
     group: &[Written],
     newest: u64,
     vetting: &mut Vetting,
-) -> Result<(), Error> {
+) -> Result<Vec<QuarantinedRecord>, Error> {
     fold_group((&shared.journal, shared.settings.write_buffer_tiles), &mut &*on, group, newest, vetting)
 }

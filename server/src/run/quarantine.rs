@@ -1,0 +1,47 @@
+//! What vetting keeps out of the map is told wherever operators look: the log, the metrics, the feed of uploads.
+
+use echofix_core::vetting::alarm::{AlarmLimits, alarms};
+use tokio::sync::broadcast::error::RecvError;
+
+use super::ServiceContext;
+use crate::feed::QuarantineEvent;
+use crate::http::reason_word;
+use crate::metrics::OutcomeLabel;
+use crate::store::QuarantinedRecord;
+
+/// Tells of each for as long as it is polled.
+pub(super) async fn tell(shared: ServiceContext) {
+    let mut kept_out = shared.operations.kept_out();
+    loop {
+        count(&shared).await;
+        match kept_out.recv().await {
+            Ok(record) => one(&shared, &record),
+            // They are in the quarantine all the same.
+            Err(RecvError::Lagged(missed)) => tracing::warn!(missed, "more uploads were kept out of the map"),
+            Err(RecvError::Closed) => return,
+        }
+    }
+}
+
+fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
+    let reason = reason_word(record.reason);
+    let offset_m = record.upload.offset.map(|offset| offset.pose().x_m.hypot(offset.pose().y_m));
+    tracing::warn!(epoch = record.number, reason, offset_m, "vetting kept an upload out of the map");
+    shared.metrics.quarantined.get_or_create(&OutcomeLabel { outcome: reason }).inc();
+    shared.feed.quarantine(QuarantineEvent { epoch: record.number, reason, offset_m });
+}
+
+/// How many there are, and how many alarms follow from them.
+async fn count(shared: &ServiceContext) {
+    let operations = shared.operations.clone();
+    let found = tokio::task::spawn_blocking(move || operations.quarantined()).await;
+    // While the map is made anew nothing can be said; the next upload asks again.
+    let Ok(Ok(kept_out)) = found else { return };
+    let uploads: Vec<_> = kept_out.iter().map(|record| record.upload).collect();
+    let alarms = alarms(&uploads, &AlarmLimits::default()).len() as i64;
+    shared.metrics.in_quarantine.set(kept_out.len() as i64);
+    let before = shared.metrics.alarms.set(alarms);
+    if alarms > before {
+        tracing::error!(alarms, "several contributors disagree with the map alike: see `echofix map quarantine`");
+    }
+}
