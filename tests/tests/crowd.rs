@@ -126,7 +126,10 @@ fn is_seen(service: &Service, kept_out: usize) {
     });
     assert!(service.log().contains("vetting kept an upload out of the map"));
     let run = command::echofix(["map", "quarantine", "--http", &service.http]);
-    assert!(run.code == Some(0) && run.stdout.contains(&format!("{kept_out} uploads are in quarantine")), "{run:?}");
+    assert!(
+        run.code == Some(0) && run.stdout.contains(&format!("{kept_out} uploads are in quarantine")),
+        "{run:?}"
+    );
     assert!(run.stdout.contains("shifted"), "{run:?}");
 }
 

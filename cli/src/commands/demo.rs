@@ -146,7 +146,8 @@ async fn localize(
     let replay = ask(&drive, &patient_localizer(&service.grpc)?, &plan, 2, &bar).await?;
     bar.finish_and_clear();
     if let Some(out) = &args.out {
-        localize::write(localize::writer(out)?, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
+        localize::write(localize::writer(out)?, &replay.fixes)
+            .with_context(|| format!("writing {}", out.display()))?;
     }
     Ok(replay.summary())
 }

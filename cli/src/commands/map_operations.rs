@@ -174,11 +174,18 @@ fn quarantine(body: &Value) {
     for upload in body["uploads"].as_array().into_iter().flatten() {
         let word = |key: &str| upload[key].as_str().unwrap_or_default().to_lowercase();
         let epoch = upload["epoch"].to_string();
-        println!("{epoch:>9}  {}  {:<10} {}  {}", word("date"), word("reason"), place(upload), offset(upload));
+        println!(
+            "{epoch:>9}  {}  {:<10} {}  {}",
+            word("date"),
+            word("reason"),
+            place(upload),
+            offset(upload)
+        );
     }
     for alarm in body["alarms"].as_array().into_iter().flatten() {
         let since = alarm["since"].as_str().unwrap_or_default();
-        let by = if alarm["kind"] == "SHIFT" { offset(alarm) } else { "something else than the map".to_owned() };
+        let by =
+            if alarm["kind"] == "SHIFT" { offset(alarm) } else { "something else than the map".to_owned() };
         println!(
             "ALARM: {} contributors agree at {} since {since}: {by}",
             alarm["contributors"],

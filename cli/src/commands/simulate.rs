@@ -39,7 +39,8 @@ pub struct Args {
 /// # Errors
 /// When the town cannot be made, something is in the log's place, or the log cannot be written.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let taken = args.out.is_file() || std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
+    let taken =
+        args.out.is_file() || std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
     anyhow::ensure!(!taken || args.force, "{} is there already; --force writes over it", args.out.display());
     let city = City::generate(&CityParams { seed: args.city, ..CityParams::default() })?;
     let route = match args.wander_m {

@@ -42,6 +42,9 @@ async fn count(shared: &ServiceContext) {
     shared.metrics.in_quarantine.set(kept_out.len() as i64);
     let before = shared.metrics.alarms.set(alarms);
     if alarms > before {
-        tracing::error!(alarms, "several contributors disagree with the map alike: see `echofix map quarantine`");
+        tracing::error!(
+            alarms,
+            "several contributors disagree with the map alike: see `echofix map quarantine`"
+        );
     }
 }
