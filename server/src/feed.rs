@@ -92,7 +92,7 @@ impl Feed {
     pub fn upload(&self, event: UploadEvent) {
         let epoch = event.epoch;
         self.uploads.publish(event);
-        if self.quarantined.recent(usize::MAX).iter().any(|kept_out| kept_out.epoch == epoch) {
+        if self.quarantined.remembers(|kept_out| kept_out.epoch == epoch) {
             self.mark_quarantined(epoch);
         }
     }
@@ -133,6 +133,11 @@ impl<T: Clone> Channel<T> {
         recent.push_back(event.clone());
         // To have no listeners is no error.
         let _ = self.live.send(event);
+    }
+
+    /// Is there such an event among those that are remembered?
+    pub fn remembers(&self, such: impl FnMut(&T) -> bool) -> bool {
+        self.lock().iter().any(such)
     }
 
     /// Changes what is remembered; listeners are told by an event of their own.

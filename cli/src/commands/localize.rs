@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use echofix_client::drivelog;
 use echofix_core::gate::MAX_RANGE_M;
 use echofix_core::odometry::OdometryQuality;
@@ -27,8 +27,9 @@ pub struct Args {
     /// URL of the service's gRPC port.
     #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
     server: String,
-    /// Localize on this machine, against the tiles in this folder (`echofix tiles sync`), without any service.
-    #[arg(long, conflicts_with = "server")]
+    /// Localize on this machine, against the tiles in this folder (`echofix tiles sync`). No service is asked then, whatever
+    /// --server or `ECHOFIX_SERVER` says.
+    #[arg(long)]
     offline: Option<PathBuf>,
     /// Use only these scans of the log, counted from 1, like 10-18.
     #[arg(long)]
@@ -127,23 +128,16 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
             println!("suspicious: {finding}");
         }
     }
-    succeeded(&replay.fixes, args.fail_under)
-}
-
-/// Scripts read the exit code.
-fn succeeded(fixes: &[FixRecord], fail_under: Option<f64>) -> anyhow::Result<()> {
-    let answered = fixes.iter().filter(|fix| fix.latitude_deg.is_some()).count();
-    let usable = fixes.iter().filter(|fix| fix.usable).count();
-    anyhow::ensure!(answered > 0, "none of {} questions was answered", fixes.len());
-    let share = usable as f64 / fixes.len() as f64;
-    if let Some(least) = fail_under {
-        anyhow::ensure!(
-            share >= least,
-            "{:.1} % of the answers are usable, less than {:.1} %",
-            1e2 * share,
-            1e2 * least
-        );
-    }
+    // Scripts read the exit code.
+    let answered = replay.fixes.iter().any(|fix| fix.latitude_deg.is_some());
+    ensure!(answered, "none of {} questions was answered", summary.asked);
+    let (usable, least) = (summary.usable_share, args.fail_under.unwrap_or(0.0));
+    ensure!(
+        usable >= least,
+        "{:.1} % of the answers are usable, less than {:.1} %",
+        1e2 * usable,
+        1e2 * least
+    );
     Ok(())
 }
 

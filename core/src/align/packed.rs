@@ -4,11 +4,10 @@
 //! same to the bit. Four bits a weight would halve that again, and find the same place; but they make steps of what is smooth
 //! around the summit, whose curvature is the covariance: one answer in ten was refused for want of structure then.
 
-use super::weights::COARSE;
 use crate::geo::CELLS_PER_TILE;
 
-/// Cells along the side of a square: a coarse cell's.
-pub(super) const SQUARE: usize = COARSE;
+/// Cells along the side of a square, which is a coarse cell, too.
+pub(super) const SQUARE: usize = 4;
 /// Cells of a square.
 pub(super) const CELLS: usize = SQUARE * SQUARE;
 /// Squares along a tile's side.

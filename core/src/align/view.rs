@@ -104,11 +104,14 @@ impl MapView {
 
     /// Marks where the map has been; the tile's place is given in squares.
     fn mark_known(&mut self, tile: &TileWeights, [x0, y0]: [i64; 2]) {
-        const SQUARES: usize = CELLS_PER_TILE / KNOWN;
         let side = self.square().side / KNOWN;
-        for (row, column) in (0..SQUARES).flat_map(|row| (0..SQUARES).map(move |column| (row, column))) {
-            if let [Some(x), Some(y)] = [x0 + column as i64, y0 + row as i64].map(|at| inside(at, side)) {
-                self.known[y * side + x] = u8::from(tile.is_known(column, row));
+        for (y, squares) in (y0..).zip(tile.known()) {
+            let (Some(y), mut left) = (inside(y, side), *squares) else { continue };
+            while left != 0 {
+                if let Some(x) = inside(x0 + i64::from(left.trailing_zeros()), side) {
+                    self.known[y * side + x] = 1;
+                }
+                left &= left - 1;
             }
         }
     }

@@ -6,7 +6,7 @@
 //! weighs more than what was there once. Bytes keep a tile in a quarter of a megabyte and sums exact, so
 //! that every engine finds the same maximum.
 
-use super::packed::PackedWeights;
+use super::packed::{PackedWeights, SQUARE};
 use super::smoothing::{self, CellMass, HALO};
 use crate::agreement::MapPointIndex;
 use crate::datum::Datum;
@@ -19,7 +19,7 @@ use crate::tile::Tile;
 pub use super::smoothing::STEPS;
 
 /// Cells along the side of a coarse cell.
-pub const COARSE: usize = 4;
+pub const COARSE: usize = SQUARE;
 /// Cells along the side of a square of which it is known whether the map has been there.
 pub const KNOWN: usize = 8;
 /// The map has been where it has anything so many of these squares away at most, 3.2 m: as far as things stand
@@ -178,9 +178,9 @@ impl TileWeights {
         &self.weights
     }
 
-    /// Has the map been in a square of [`KNOWN`] x [`KNOWN`] cells, by its column and row?
-    pub(super) fn is_known(&self, column: usize, row: usize) -> bool {
-        self.known[row] >> column & 1 == 1
+    /// For each row of squares of [`KNOWN`] x [`KNOWN`] cells those where the map has been, the westernmost in the lowest bit.
+    pub(super) fn known(&self) -> &[u64] {
+        &self.known
     }
 
     /// Is a point of the map within so many metres of a position in the tile?

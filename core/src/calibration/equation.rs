@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-use super::evidence::{SIZE, Solution};
 use super::motion::Motion;
+use super::solution::{SIZE, Solution};
 use crate::doppler::sensor_velocity;
 use crate::scan::{Mount, ScanView};
 

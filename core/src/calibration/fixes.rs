@@ -8,7 +8,8 @@
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use super::equation::ScanEquations;
-use super::evidence::{Evidence, SIZE};
+use super::evidence::Evidence;
+use super::solution::SIZE;
 use super::{CalibrationConfig, CalibrationSigma, Estimated};
 use crate::odometry::BodyVelocity;
 use crate::pose::Pose2;

@@ -17,6 +17,7 @@
 //! - [`clock`]: does one batch show that the clock is off?
 //! - [`fixes`]: clock and lever arm from fixes, for radars without radial speeds.
 //! - [`motion`]: odometry's velocity and how it changes.
+//! - [`solution`]: the numbers that are estimated of one radar.
 //! - [`equation`]: one scan's equations on the calibration.
 //! - [`evidence`]: their sums by stretches of time, the solution and its covariance.
 
@@ -25,13 +26,15 @@ pub mod equation;
 pub mod evidence;
 pub mod fixes;
 pub mod motion;
+pub mod solution;
 
 use crate::odometry::Trajectory;
 use crate::pose::wrap_angle;
 use crate::scan::{Mount, ScanView};
 use equation::ScanEquations;
-use evidence::{Evidence, Solution};
+use evidence::Evidence;
 use motion::Motion;
+use solution::Solution;
 
 /// How mounts and clocks are estimated.
 #[derive(Debug, Clone, Copy, PartialEq)]

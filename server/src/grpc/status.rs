@@ -52,14 +52,14 @@ pub fn store(error: &store::Error) -> Status {
         | store::Error::Stopped(_)
         | store::Error::NoRoom { .. }
         | store::Error::Broken(_)
-        | store::Error::Tiles(sled::Error::Io(_)) => {
+        | store::Error::Tiles { io: Some(_), .. } => {
             if let Some(left_out) = sparse::line("the store refuses") {
                 tracing::error!(%error, left_out, "the store refuses");
             }
             // The message names files of the machine; the vehicle needs the time of its next attempt only.
             unavailable("the service cannot reach its disk", Duration::from_secs(30))
         }
-        store::Error::Tiles(_) | store::Error::Damaged { .. } | store::Error::InUse(_) => {
+        store::Error::Tiles { .. } | store::Error::Damaged { .. } | store::Error::InUse(_) => {
             if let Some(left_out) = sparse::line("the store fails") {
                 tracing::error!(%error, left_out, "the store fails");
             }

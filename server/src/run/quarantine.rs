@@ -1,7 +1,10 @@
 //! What vetting keeps out of the map is told wherever operators look: the log, the metrics, the feed of uploads.
 
+use std::time::Duration;
+
 use echofix_core::vetting::alarm::{AlarmLimits, alarms};
 use tokio::sync::broadcast::error::RecvError;
+use tokio::time::MissedTickBehavior;
 
 use super::ServiceContext;
 use crate::feed::QuarantineEvent;
@@ -9,16 +12,29 @@ use crate::http::reason_word;
 use crate::metrics::OutcomeLabel;
 use crate::store::QuarantinedRecord;
 
+/// How often all that is in quarantine is counted, at most: it is all read for that.
+const COUNTED: Duration = Duration::from_secs(2);
+
 /// Tells of each for as long as it is polled.
 pub(super) async fn tell(shared: ServiceContext) {
     let mut kept_out = shared.operations.kept_out();
+    let mut ticks = tokio::time::interval(COUNTED);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut changed = true;
     loop {
-        count(&shared).await;
-        match kept_out.recv().await {
-            Ok(record) => one(&shared, &record),
-            // They are in the quarantine all the same.
-            Err(RecvError::Lagged(missed)) => tracing::warn!(missed, "more uploads were kept out of the map"),
-            Err(RecvError::Closed) => return,
+        tokio::select! {
+            _ = ticks.tick(), if changed => changed = !count(&shared).await,
+            next = kept_out.recv() => {
+                changed = true;
+                match next {
+                    Ok(record) => one(&shared, &record),
+                    // They are in the quarantine all the same.
+                    Err(RecvError::Lagged(missed)) => {
+                        tracing::warn!(missed, "more uploads were kept out of the map");
+                    }
+                    Err(RecvError::Closed) => return,
+                }
+            }
         }
     }
 }
@@ -31,12 +47,11 @@ fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
     shared.feed.quarantine(QuarantineEvent { epoch: record.number, reason, offset_m });
 }
 
-/// How many there are, and how many alarms follow from them.
-async fn count(shared: &ServiceContext) {
+/// How many there are, and how many alarms follow from them; false while the map is made anew, when nothing can be said.
+async fn count(shared: &ServiceContext) -> bool {
     let operations = shared.operations.clone();
     let found = tokio::task::spawn_blocking(move || operations.quarantined()).await;
-    // While the map is made anew nothing can be said; the next upload asks again.
-    let Ok(Ok(kept_out)) = found else { return };
+    let Ok(Ok(kept_out)) = found else { return false };
     let uploads: Vec<_> = kept_out.iter().map(|record| record.upload).collect();
     let alarms = alarms(&uploads, &AlarmLimits::default()).len() as i64;
     shared.metrics.in_quarantine.set(kept_out.len() as i64);
@@ -47,4 +62,5 @@ async fn count(shared: &ServiceContext) {
             "several contributors disagree with the map alike: see `echofix map quarantine`"
         );
     }
+    true
 }

@@ -189,6 +189,24 @@ fn tiles_that_cannot_be_opened_are_rebuilt() {
     }
 }
 
+/// Catches: a damaged table that is taken for a disk that may come back, and waited for until somebody removes it.
+#[test]
+fn tiles_in_redb_that_cannot_be_opened_are_rebuilt() {
+    let dir = tempfile::tempdir().unwrap();
+    let uploads = some_uploads(20);
+    let open = || EmbeddedStore::open(&Options { table: TableEngine::Redb, ..options(dir.path()) }).unwrap();
+    let store = open();
+    commit_all(&store, &uploads);
+    assert_eq!(map(&store), model(&uploads));
+    drop(store);
+    for damage in [&[0xa5; 9000][..], &[0xa5; 3], &[]] {
+        let table = std::fs::read_dir(tiles_dir(dir.path())).unwrap().map(|entry| entry.unwrap().path());
+        let table = table.max_by_key(|path| std::fs::metadata(path).unwrap().len()).unwrap();
+        std::fs::write(table, damage).unwrap();
+        assert_eq!(map(&open()), model(&uploads), "{} bytes", damage.len());
+    }
+}
+
 /// Breaks it: ending the start with sled's refusal.
 #[test]
 fn tiles_that_an_older_version_stored_in_another_layout_are_rebuilt() {

@@ -12,8 +12,13 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The tile store refused.
-    #[error("tile store: {0}")]
-    Tiles(#[from] sled::Error),
+    #[error("tile store: {reason}")]
+    Tiles {
+        /// What it reported.
+        reason: String,
+        /// What the operating system reported, if it was that.
+        io: Option<std::io::ErrorKind>,
+    },
     /// The tile store failed before, and takes nothing more. Another one is made in its place.
     #[error("the tile store failed: {0}")]
     Broken(String),
@@ -63,18 +68,18 @@ pub(in crate::store) fn io_error(doing: &'static str) -> impl Fn(std::io::Error)
 }
 
 impl Error {
-    /// May it be otherwise without anybody mending what is stored? Of sled's errors only those that say nothing of its
-    /// files: a disk that is full or read-only. What cannot be read may stay so.
+    /// May it be otherwise without anybody mending what is stored? Of a tile store's errors only those that say nothing of
+    /// its files: a disk that is full or read-only. What cannot be read may stay so.
     pub(in crate::store) fn may_pass(&self) -> bool {
         use std::io::ErrorKind::{
             FileTooLarge, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull,
         };
-        let of_the_disk = |kind| {
-            matches!(kind, FileTooLarge | PermissionDenied | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
-        };
         match self {
             Self::Io { .. } | Self::NoRoom { .. } | Self::Broken(_) => true,
-            Self::Tiles(sled::Error::Io(error)) => of_the_disk(error.kind()),
+            Self::Tiles { io: Some(kind), .. } => matches!(
+                kind,
+                FileTooLarge | PermissionDenied | QuotaExceeded | ReadOnlyFilesystem | StorageFull
+            ),
             _ => false,
         }
     }

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use siphasher::sip::SipHasher24;
 
-use super::data_dir::at;
+use super::files::at;
 use super::files::put_file;
 use crate::store::api::{Error, io_error};
 use crate::store::checksum::{seal, sealed};

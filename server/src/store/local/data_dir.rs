@@ -24,15 +24,14 @@ use uuid::Uuid;
 
 use super::contributor_key::ContributorKey;
 use super::fence::Fence;
+use super::files::at;
 use super::lock::Locks;
-use super::marker::{self, marked};
+use super::marker::{self, TILES, marked};
 use super::{files, segments, traces};
-use crate::store::api::{Error, io_error};
+use crate::store::api::Error;
 use crate::store::backend::owner::Pseudonyms;
 use crate::store::backend::tables::{TableId, TableUse};
 
-/// How the names of generations of tiles begin.
-pub(super) const TILES: &str = "tiles-";
 /// How the names of tiles begin that are folded to be compacted.
 const SCRATCH: &str = "scratch-";
 /// Where it lies what contradicts the journal.
@@ -153,12 +152,6 @@ impl Pseudonyms for DataDir {
     fn damage(&self) -> Vec<String> {
         self.key.damage(&self.root)
     }
-}
-
-/// Names the file in what is told of a failure.
-pub(super) fn at(path: &Path, doing: &'static str) -> impl Fn(std::io::Error) -> Error {
-    let path = path.display().to_string();
-    move |error| io_error(doing)(std::io::Error::new(error.kind(), format!("{path}: {error}")))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::data_dir::at;
+use super::files::at;
 use super::files::put_file_with;
 use crate::store::api::Error;
 

@@ -6,11 +6,16 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::data_dir::at;
-use crate::store::api::Error;
+use crate::store::api::{Error, io_error};
 
 /// Ends the names of files that are being written: nobody else's file has it.
 const UNFINISHED: &str = ".echofix-unfinished";
+
+/// Names the file in what is told of a failure.
+pub(super) fn at(path: &Path, doing: &'static str) -> impl Fn(io::Error) -> Error {
+    let path = path.display().to_string();
+    move |error| io_error(doing)(io::Error::new(error.kind(), format!("{path}: {error}")))
+}
 
 /// Writes a file that gets its name only when all of it is on disk; the name is on disk, too, when this
 /// returns.

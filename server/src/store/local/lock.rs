@@ -4,7 +4,7 @@
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::Path;
 
-use super::data_dir::at;
+use super::files::at;
 use crate::store::api::Error;
 
 /// What is locked for as long as it is held open.

@@ -13,6 +13,9 @@ use uuid::Uuid;
 use super::files::put_file;
 use crate::store::checksum::{seal, sealed};
 
+/// How the names of generations of tiles begin.
+pub(super) const TILES: &str = "tiles-";
+
 const MAGIC: [u8; 4] = *b"EFT\x01";
 const NAME: &str = "made-from";
 const LENGTH: usize = 24;

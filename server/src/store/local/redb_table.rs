@@ -1,6 +1,5 @@
 //! A table of tiles in redb, in a directory of its own.
 
-use std::io;
 use std::path::Path;
 
 use redb::{Database, ReadableDatabase, TableDefinition};
@@ -55,14 +54,11 @@ fn opened(dir: &Path, cache_bytes: u64) -> Result<Database, Error> {
 }
 
 fn failed(error: redb::Error) -> Error {
-    let source = match error {
-        redb::Error::Io(source) => source,
-        redb::Error::Corrupted(reason) => {
-            return Error::Damaged { what: "the table of tiles".to_owned(), reason };
-        }
-        other => io::Error::other(other),
-    };
-    Error::Io { doing: "the table of tiles", source }
+    match error {
+        redb::Error::Corrupted(reason) => Error::Damaged { what: "the table of tiles".to_owned(), reason },
+        redb::Error::Io(source) => Error::Tiles { reason: source.to_string(), io: Some(source.kind()) },
+        other => Error::Tiles { reason: other.to_string(), io: None },
+    }
 }
 
 type Guarded<'a> = redb::AccessGuard<'a, &'static [u8]>;

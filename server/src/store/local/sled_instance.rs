@@ -20,6 +20,13 @@ fn config(dir: &Path, cache_bytes: u64) -> sled::Config {
     config.segment_size(SEGMENT_BYTES).cache_capacity(cache_bytes)
 }
 
+impl From<sled::Error> for Error {
+    fn from(error: sled::Error) -> Self {
+        let io = if let sled::Error::Io(source) = &error { Some(source.kind()) } else { None };
+        Self::Tiles { reason: error.to_string(), io }
+    }
+}
+
 /// A database and the tree in it that holds the tiles.
 pub(in crate::store) struct Sled {
     /// `None` once it is dropped.

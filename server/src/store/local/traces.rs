@@ -5,9 +5,8 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::data_dir::TILES;
 use super::files;
-use super::marker::marked;
+use super::marker::{TILES, marked};
 use crate::store::api::Error;
 
 /// # Errors
