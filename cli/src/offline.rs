@@ -66,7 +66,7 @@ impl MapStore for CachedMap {
             reason: error.to_string(),
         };
         let tile = self.cache.tile(id).map_err(damaged)?;
-        Ok(tile.map(|(version, tile)| StoredTile { version, tile: Arc::new(tile) }))
+        Ok(tile.map(|(version, tile)| StoredTile { version, day: 0, tile: Arc::new(tile) }))
     }
 
     fn catalog(

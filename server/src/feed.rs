@@ -65,8 +65,18 @@ pub struct UploadEvent {
 pub struct QuarantineEvent {
     /// Its epoch: the one that the upload was told.
     pub epoch: u64,
+    /// The id that the contributor chose; absent once it is compacted.
+    pub upload_id: Option<String>,
+    /// Keyed hash of the contributor's pseudonym, 16 hexadecimal digits. It can be revoked by it.
+    pub contributor: String,
     /// `SHIFTED`, `ROTATED` or `DISAGREES`.
     pub reason: &'static str,
+    /// UTC date of the drive.
+    pub date: String,
+    /// Where it lies: `lat` and `lon`, degrees.
+    pub place: serde_json::Value,
+    /// By how much it lies beside the map: `east_m`, `north_m`, `yaw_deg`; absent when it shows something else.
+    pub offset: Option<serde_json::Value>,
     /// How far it lies beside the map, metres, where that could be measured.
     pub offset_m: Option<f64>,
 }
@@ -179,7 +189,16 @@ mod tests {
             tiles: 1,
             epoch,
         };
-        let kept_out = |epoch| QuarantineEvent { epoch, reason: "SHIFTED", offset_m: Some(1.5) };
+        let kept_out = |epoch| QuarantineEvent {
+            epoch,
+            upload_id: None,
+            contributor: "00000000000000ff".to_owned(),
+            reason: "SHIFTED",
+            date: "2026-01-01".to_owned(),
+            place: serde_json::Value::Null,
+            offset: None,
+            offset_m: Some(1.5),
+        };
         feed.upload(upload(1));
         feed.quarantine(kept_out(1));
         feed.quarantine(kept_out(2));

@@ -2,7 +2,7 @@
 
 use tracing_subscriber::EnvFilter;
 
-use super::{Config, Error, HttpConfig, LimitsConfig, StoreConfig};
+use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
 use crate::grpc::INTEGRITY_RISKS;
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
@@ -24,6 +24,7 @@ impl Config {
             locating(&self.locating, self.radar.max_range_m),
             mapping(&self.mapping),
             limits(&self.limits),
+            alarms(&self.alarms),
             together(self),
         ];
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
@@ -225,6 +226,16 @@ fn ages(mapping: &MappingConfig) -> Rule {
     let holds = mapping.retention_days == 0 || mapping.max_age_days < mapping.retention_days;
     let rule = "must be less than mapping.retention_days: an upload sent again after that would count twice";
     ("mapping.max_age_days", holds, rule)
+}
+
+fn alarms(alarms: &AlarmsConfig) -> Vec<Rule> {
+    let AlarmsConfig { contributors, within_m, shift_m, turn_deg } = *alarms;
+    vec![
+        ("alarms.contributors", contributors >= 2, "must be at least 2: one alone may just be wrong"),
+        ("alarms.within_m", within(within_m, 10_000.0), "must be above 0 and at most 10000"),
+        ("alarms.shift_m", within(shift_m, 100.0), "must be above 0 and at most 100"),
+        ("alarms.turn_deg", within(turn_deg, 180.0), "must be above 0 and at most 180"),
+    ]
 }
 
 fn limits(limits: &LimitsConfig) -> Vec<Rule> {

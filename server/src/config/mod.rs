@@ -8,6 +8,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use echofix_core::vetting::alarm::AlarmLimits;
 use serde::{Deserialize, Serialize};
 
 use crate::locating::LocatingConfig;
@@ -75,6 +76,8 @@ pub struct Config {
     pub locating: LocatingConfig,
     /// What one client may take of the service.
     pub limits: LimitsConfig,
+    /// When operators are alarmed.
+    pub alarms: AlarmsConfig,
     /// What is written to standard error.
     pub log: LogConfig,
 }
@@ -95,6 +98,29 @@ pub struct HttpConfig {
     pub listen: SocketAddr,
     /// Names by which the port is reached, besides its address and `localhost`.
     pub hosts: Vec<String>,
+}
+
+/// When quarantined uploads make an alarm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AlarmsConfig {
+    /// Distinct contributors, at least.
+    pub contributors: usize,
+    /// Distance within which they lie, metres.
+    pub within_m: f64,
+    /// By how much their shifts differ at most, metres.
+    pub shift_m: f64,
+    /// By how much their turns differ at most, degrees.
+    pub turn_deg: f64,
+}
+
+impl AlarmsConfig {
+    /// The same for those who compute.
+    #[must_use]
+    pub fn limits(&self) -> AlarmLimits {
+        let Self { contributors, within_m, shift_m, turn_deg } = *self;
+        AlarmLimits { contributors, within_m, shift_m, yaw_rad: turn_deg.to_radians() }
+    }
 }
 
 /// Where and how data is stored.

@@ -15,13 +15,13 @@ use serde_json::{Value, json};
 use super::App;
 use super::day::iso_date;
 use super::error::Error;
+use super::past::{EpochParameter, Shown};
 use super::raster::corners;
 use crate::store::{MapProgress, MapStatus, MapStore, StoredTile};
 
 /// `GET /api/v1/map`
-pub async fn map(State(app): State<Arc<App>>) -> Result<Response, Error> {
-    let artist = Arc::clone(&app.artist);
-    let store = Arc::clone(&app.state.store);
+pub async fn map(State(app): State<Arc<App>>, epoch: EpochParameter) -> Result<Response, Error> {
+    let Shown { store, artist } = app.shown(epoch).await?;
     let body = app.limiter.work(move || {
         let overview = artist.overview()?;
         let (mut body, totals) = (progress_json(&store.progress().borrow()), store.totals());
@@ -75,31 +75,33 @@ pub struct PositionQuery {
 pub async fn tile_at(
     State(app): State<Arc<App>>,
     at: Result<Query<PositionQuery>, QueryRejection>,
+    epoch: EpochParameter,
 ) -> Result<Response, Error> {
     let Query(PositionQuery { lat, lon }) = at?;
     let at = LatLon { lat_deg: lat, lon_deg: lon };
     let grid = Grid::of(at)?;
     let id = TileId::of(grid.zone(), grid.project(at)?);
-    described(&app, id).await
+    described(&app, id, epoch).await
 }
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}`
 pub async fn tile(
     State(app): State<Arc<App>>,
     Path((epsg, x, y)): Path<(String, String, String)>,
+    epoch: EpochParameter,
 ) -> Result<Response, Error> {
-    described(&app, format!("{epsg}/{x}/{y}").parse()?).await
+    described(&app, format!("{epsg}/{x}/{y}").parse()?, epoch).await
 }
 
-async fn described(app: &App, id: TileId) -> Result<Response, Error> {
-    let store = Arc::clone(&app.state.store);
+async fn described(app: &Arc<App>, id: TileId, epoch: EpochParameter) -> Result<Response, Error> {
+    let store = app.shown(epoch).await?.store;
     Ok(fresh(app.limiter.work(move || describe(&*store, id)).await?))
 }
 
 fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id}"));
     let stored = store.tile(id)?.ok_or_else(nothing)?;
-    let StoredTile { version, tile } = &stored;
+    let StoredTile { version, tile, .. } = &stored;
     let corners = corners(&Grid::new(id.zone)?, [id.x, id.y], [id.x, id.y])?;
     let mut passes = BTreeMap::<u32, u32>::new();
     let (mut hits, mut oldest_day) = (0, u16::MAX);

@@ -10,6 +10,7 @@ use serde_json::json;
 
 use super::App;
 use super::error::Error;
+use super::past::EpochParameter;
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
 
 /// The whole of Web Mercator, for a map that is empty.
@@ -19,11 +20,12 @@ const WORLD: [f64; 4] = [-180.0, -85.051_129, 180.0, 85.051_129];
 pub async fn tile(
     State(app): State<Arc<App>>,
     Path((layer, z, x, file)): Path<(String, String, String, String)>,
+    epoch: EpochParameter,
     headers: HeaderMap,
 ) -> Result<Response, Error> {
     let layer: Layer = layer.parse()?;
     let view = View::parse(&z, &x, &file)?;
-    let artist: Arc<Artist> = Arc::clone(&app.artist);
+    let artist: Arc<Artist> = app.shown(epoch).await?.artist;
     let draw = move |patience: &_| artist.draw(layer, view, |tag| is_known(&headers, tag), patience);
     let answer = app.limiter.attended(draw).await?;
     let headers = [(header::ETAG, answer.tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
@@ -46,12 +48,14 @@ fn is_known(headers: &HeaderMap, tag: &str) -> bool {
 pub async fn tilejson(
     State(app): State<Arc<App>>,
     Path(file): Path<String>,
+    epoch: EpochParameter,
     headers: HeaderMap,
 ) -> Result<Response, Error> {
     let expected =
         || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
     let layer: Layer = file.strip_suffix(".json").ok_or_else(expected)?.parse()?;
-    let artist = Arc::clone(&app.artist);
+    let of_epoch = epoch.as_ref().ok().and_then(|epoch| epoch.0.query()).unwrap_or_default();
+    let artist = app.shown(epoch).await?.artist;
     let overview = app.limiter.work(move || artist.overview()).await?;
     let body = json!({
         "tilejson": "3.0.0",
@@ -59,7 +63,7 @@ pub async fn tilejson(
         "description": layer.description(),
         "version": format!("1.0.{}", overview.epoch),
         "scheme": "xyz",
-        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png", origin(&headers))],
+        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", origin(&headers))],
         "minzoom": layer.min_zoom(),
         "maxzoom": MAX_ZOOM,
         "bounds": overview.bounds().unwrap_or(WORLD),

@@ -6,7 +6,10 @@
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
 //! - `expectation`: what fixes in a tile can be expected to be.
-//! - `operations`: the map's history, and what operators decide about it.
+//! - `past`: the map as it was at an epoch.
+//! - `operations`: the map's history, and whether what is stored is sound.
+//! - `decisions`: what operators decide about it.
+//! - `quarantine`: what vetting kept out, and alarms.
 //! - `files`: regions out and in, backups.
 //! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
@@ -18,6 +21,7 @@
 mod catalog;
 mod console;
 mod day;
+mod decisions;
 mod error;
 mod expectation;
 mod files;
@@ -27,7 +31,9 @@ mod live;
 mod openapi;
 mod operations;
 mod origin;
+mod past;
 mod probes;
+mod quarantine;
 mod raster;
 mod region_days;
 #[cfg(test)]
@@ -38,6 +44,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodRouter, get, post};
+use echofix_core::vetting::alarm::AlarmLimits;
 use tokio::sync::watch;
 
 use crate::feed::Feed;
@@ -47,8 +54,8 @@ use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
-pub use operations::reason_word;
 pub use origin::Hosts;
+pub use quarantine::{alarm_json, quarantine_event, reason_word};
 
 /// What the routes answer from.
 #[derive(Clone)]
@@ -59,6 +66,8 @@ pub struct HttpState {
     pub expectations: Arc<Expectations>,
     /// What operators may do with it.
     pub operations: Arc<dyn Operations>,
+    /// When quarantined uploads make an alarm.
+    pub alarm_limits: AlarmLimits,
     /// The last fixes and uploads.
     pub feed: Arc<Feed>,
     /// What the service counts.
@@ -73,6 +82,7 @@ pub struct HttpState {
 struct App {
     state: HttpState,
     artist: Arc<raster::Artist>,
+    past: past::PastMaps,
     limiter: limits::Limiter,
 }
 
@@ -85,7 +95,8 @@ pub fn router(state: HttpState) -> Router {
 pub fn router_at(state: HttpState, hosts: Hosts) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
-    let app = Arc::new(App { state, artist, limiter: limits::Limiter::default() });
+    let app =
+        Arc::new(App { state, artist, past: past::PastMaps::default(), limiter: limits::Limiter::default() });
     routes()
         .into_iter()
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
@@ -113,13 +124,14 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/tiles/{layer}/{z}/{x}/{y}", get(layers::tile)),
         ("/api/v1/map", get(catalog::map)),
         ("/api/v1/map/history", get(operations::history)),
-        ("/api/v1/map/quarantine", get(operations::quarantine)),
+        ("/api/v1/map/quarantine", get(quarantine::quarantine)),
         ("/api/v1/map/diff", get(operations::diff)),
-        ("/api/v1/map/rollback", post(operations::rollback)),
-        ("/api/v1/map/revoke", post(operations::revoke)),
-        ("/api/v1/map/compact", post(operations::compact)),
+        ("/api/v1/map/rollback", post(decisions::rollback)),
+        ("/api/v1/map/revoke", post(decisions::revoke)),
+        ("/api/v1/map/undo", post(decisions::undo)),
+        ("/api/v1/map/compact", post(decisions::compact)),
         // Its former name, which older commands use.
-        ("/api/v1/map/settle", post(operations::compact)),
+        ("/api/v1/map/settle", post(decisions::compact)),
         ("/api/v1/map/verify", get(operations::verify).post(operations::verify)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),

@@ -1,6 +1,6 @@
 //! A small map and a site that serves it, for the tests of this module.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{Cursor, Read, Write};
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -16,6 +16,7 @@ use echofix_core::align::verdict::Integrity;
 use echofix_core::evidence::{Cell, presence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::Tile;
+use echofix_core::vetting::alarm::AlarmLimits;
 use tempfile::TempDir;
 use tokio::sync::watch;
 use tower::ServiceExt;
@@ -27,8 +28,8 @@ use crate::locating::Expectations;
 use crate::store::testing::some_uploads;
 use crate::store::{
     EmbeddedStore, Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options,
-    Policy, QuarantinedRecord, Receipt, Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
-    Verified,
+    Policy, Preview, Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo,
+    Totals, UploadRecord, Verified,
 };
 
 /// 2024-10-04
@@ -92,7 +93,7 @@ impl FakeStore {
     }
 
     pub fn put(&self, id: TileId, tile: Tile) {
-        let stored = StoredTile { version: 1, tile: Arc::new(tile) };
+        let stored = StoredTile { version: 1, day: 0, tile: Arc::new(tile) };
         self.tiles.lock().unwrap().insert(id, stored);
     }
 
@@ -145,7 +146,9 @@ impl MapStore for FakeStore {
 
     fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
         self.reads.fetch_add(1, Ordering::Relaxed);
-        Ok(self.tiles.lock().unwrap().get(&id).cloned())
+        let day = self.totals().newest_day;
+        let stored = self.tiles.lock().unwrap().get(&id).cloned();
+        Ok(stored.map(|stored| StoredTile { day, ..stored }))
     }
 
     fn catalog(
@@ -193,19 +196,23 @@ impl Operations for FakeStore {
         Ok(Vec::new())
     }
 
-    fn revoke_contributor(&self, _: &str) -> Result<u64, Error> {
+    fn decide(&self, _: &Proposal, _: &Remark) -> Result<Option<u64>, Error> {
         Err(only_read())
     }
 
-    fn revoke_upload(&self, _: Uuid) -> Result<u64, Error> {
+    fn preview(&self, _: &Proposal) -> Result<Preview, Error> {
         Err(only_read())
     }
 
-    fn rollback(&self, _: u64) -> Result<u64, Error> {
-        Err(only_read())
+    fn upload_ids(&self, _: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
+        HashMap::new()
     }
 
-    fn compact(&self, _: u16) -> Result<Option<u64>, Error> {
+    fn epochs(&self) -> (u64, u64) {
+        (0, self.progress.borrow().epoch)
+    }
+
+    fn served_at(&self, _: u64) -> Result<Arc<dyn MapStore>, Error> {
         Err(only_read())
     }
 
@@ -266,6 +273,7 @@ impl TestSite {
             )),
             store: known,
             operations: Arc::clone(&store) as Arc<dyn Operations>,
+            alarm_limits: AlarmLimits::default(),
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
@@ -309,6 +317,7 @@ impl StoredSite {
             store: store.clone(),
             operations: store.clone(),
             expectations: Arc::new(Expectations::new(store.clone(), Search::default(), Integrity::default())),
+            alarm_limits: AlarmLimits::default(),
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),

@@ -36,6 +36,8 @@ const TILE_CACHE_MIB: u64 = 32;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct ExpectationKey {
     id: TileId,
+    /// Newest day of the map, by which evidence fades.
+    day: u16,
     versions: [u64; 25],
 }
 
@@ -106,17 +108,25 @@ impl Expectations {
         }
     }
 
+    /// The same questions to another map.
+    #[must_use]
+    pub fn over(&self, store: Arc<dyn MapStore>) -> Self {
+        Self::new(store, self.search, self.integrity)
+    }
+
     /// What fixes in a tile can be expected to be; `None` where nothing is known of it and its neighbours.
     /// Takes a while where that is not known yet; blocks, but no longer than the caller waits.
     ///
     /// # Errors
     /// When the map cannot be read, or the caller is gone.
     pub fn tile(&self, id: TileId, patience: &Patience) -> Result<Option<Arc<TileExpectation>>, NotAssessed> {
+        // Before all that is read: what is read of a later day is not remembered as of this one.
+        let day = self.store.totals().newest_day;
         let catalog = self.store.catalog(id.zone, around(id.x), around(id.y))?;
         if !catalog.iter().any(|tile| near(tile.id, id)) {
             return Ok(None);
         }
-        let key = ExpectationKey { id, versions: versions(&catalog, id) };
+        let key = ExpectationKey { id, day, versions: versions(&catalog, id) };
         if let Some(known) = self.known.get(&key) {
             return Ok(Some(known));
         }
@@ -139,7 +149,9 @@ impl Expectations {
         }
         let version = key.versions.iter().copied().max().unwrap_or_default();
         let made = Arc::new(TileExpectation { version, spots });
-        self.known.insert(key, Arc::clone(&made));
+        if found.day == day {
+            self.known.insert(key, Arc::clone(&made));
+        }
         Ok(Some(made))
     }
 

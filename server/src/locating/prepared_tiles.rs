@@ -18,6 +18,8 @@ use crate::store::{Error, MapStore, TileInfo};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct PreparedKey {
     id: TileId,
+    /// Newest day of the map, by which evidence fades.
+    day: u16,
     versions: [u64; 9],
 }
 
@@ -26,6 +28,8 @@ pub(super) struct PreparedWindow {
     pub tiles: Vec<Arc<TileWeights>>,
     /// Epoch of the map when they were looked up.
     pub epoch: u64,
+    /// Newest day of the map then.
+    pub day: u16,
     /// True when none had to be prepared.
     pub cached: bool,
 }
@@ -47,20 +51,27 @@ impl PreparedTiles {
     /// The tiles of a map window; none where nothing is served. Blocks.
     pub(super) fn get(&self, store: &dyn MapStore, frame: MapSquare) -> Result<PreparedWindow, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
+        // Before the tiles are read: one of a later day is noticed.
+        let day = store.totals().newest_day;
         let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
         for tile in frame.tiles() {
             x = (x.0.min(tile.x), x.1.max(tile.x));
             y = (y.0.min(tile.y), y.1.max(tile.y));
         }
         let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
-        let mut found = PreparedWindow { tiles: Vec::new(), epoch, cached: true };
-        let mut reading = Reading { store, known: HashMap::new() };
+        let mut found = PreparedWindow { tiles: Vec::new(), epoch, day, cached: true };
+        let mut reading = Reading { store, known: HashMap::new(), is_late: false };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
-            let key = PreparedKey { id, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
+            let key =
+                PreparedKey { id, day, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
             let tile = self.tiles.try_get_with_by_ref(&key, || {
                 found.cached = false;
                 reading.prepare(&key)
             })?;
+            if reading.is_late {
+                // The map moved on meanwhile: right now, and not for the next one who asks by this key.
+                self.tiles.invalidate(&key);
+            }
             found.tiles.push(tile);
         }
         Ok(found)
@@ -75,16 +86,99 @@ fn version(catalog: &[TileInfo], id: TileId) -> u64 {
 struct Reading<'a> {
     store: &'a dyn MapStore,
     known: HashMap<TileId, Option<Arc<Tile>>>,
+    /// A tile was read that is newer than its key says.
+    is_late: bool,
 }
 
 impl Reading<'_> {
     fn prepare(&mut self, key: &PreparedKey) -> Result<Arc<TileWeights>, Error> {
         let near = key.id.with_neighbours().into_iter().zip(key.versions);
-        for (id, _) in near.filter(|(_, version)| *version != 0) {
+        for (id, version) in near.filter(|(_, version)| *version != 0) {
             if let Entry::Vacant(unknown) = self.known.entry(id) {
-                unknown.insert(self.store.tile(id)?.map(|stored| stored.tile));
+                let stored = self.store.tile(id)?;
+                let same =
+                    stored.as_ref().is_some_and(|stored| (stored.version, stored.day) == (version, key.day));
+                self.is_late |= !same;
+                unknown.insert(stored.map(|stored| stored.tile));
             }
         }
         Ok(Arc::new(TileWeights::packed(key.id, |id| self.known.get(&id)?.as_deref())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::testing::some_uploads;
+    use crate::store::{EmbeddedStore, MapStatus, Operations, Options, Policy, UploadRecord};
+    use echofix_core::geo::CELLS_PER_TILE;
+    use echofix_core::tile::Decay;
+    use std::path::Path;
+    use uuid::Uuid;
+
+    /// A map that fades, of these uploads.
+    fn opened(dir: &Path) -> EmbeddedStore {
+        let policy = Policy { decay: Some(Decay::default()), ..Policy::trusting() };
+        let options =
+            Options { cache_bytes: 1 << 20, segment_bytes: 1 << 20, ..Options::new(dir.into(), policy) };
+        EmbeddedStore::open(&options).unwrap()
+    }
+
+    fn caught_up(store: &EmbeddedStore) {
+        let progress = store.progress();
+        let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+        let done = || {
+            let now = *progress.borrow();
+            now.state == MapStatus::Serving && now.epoch == now.journaled && now.building.is_none()
+        };
+        while !done() {
+            assert!(std::time::Instant::now() < deadline);
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+    }
+
+    fn around(id: TileId) -> MapSquare {
+        MapSquare { zone: id.zone, origin: id.first_cell(), side: CELLS_PER_TILE }
+    }
+
+    /// The tiles that a vehicle is localized against, in words.
+    fn prepared(cache: &PreparedTiles, store: &dyn MapStore, id: TileId) -> String {
+        let window = cache.get(store, around(id)).unwrap();
+        let told = |tile: &Arc<TileWeights>| format!("{} {} {:?}", tile.id, tile.cells, tile.blocks);
+        window.tiles.iter().map(told).collect()
+    }
+
+    /// Catches: a prepared tile that stays as it was while the map's newest day moves on, so that a vehicle is localized
+    /// against other tiles before a restart than after it; and one that stays faded when that day is taken back.
+    #[test]
+    fn what_is_localized_against_fades_at_once_and_as_after_a_restart() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = opened(dir.path());
+        let upload = some_uploads(1).remove(0);
+        let id = *upload.contribution.tiles.keys().next().unwrap();
+        store.commit(upload.clone()).unwrap();
+        caught_up(&store);
+        let cache = PreparedTiles::new(64);
+        let fresh = prepared(&cache, &store, id);
+        // The same at another place, 200 and then 500 days later.
+        let elsewhere = |days| {
+            let mut later: UploadRecord = upload.clone();
+            later.id = Uuid::from_u128(u128::from(days));
+            later.pass.day += days;
+            let moved = |id: TileId| TileId { x: id.x + 1000, ..id };
+            let tiles = later.contribution.tiles.into_iter();
+            later.contribution.tiles = tiles.map(|(id, evidence)| (moved(id), evidence)).collect();
+            later
+        };
+        for days in [200_u16, 500] {
+            store.commit(elsewhere(days)).unwrap();
+            caught_up(&store);
+            let now = prepared(&cache, &store, id);
+            assert_eq!(now == fresh, days < 365, "after {days} days");
+            assert_eq!(now, prepared(&PreparedTiles::new(64), &store, id), "with no memory of before");
+        }
+        store.rollback(1).unwrap();
+        caught_up(&store);
+        assert_eq!(prepared(&cache, &store, id), fresh, "the later days are taken back");
     }
 }

@@ -19,7 +19,17 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     let ServiceContext { config, store, operations, expectations, feed, metrics, health } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
-    let state = HttpState { store, operations, expectations, feed, metrics, health, ending: ending.clone() };
+    let alarm_limits = config.alarms.limits();
+    let state = HttpState {
+        store,
+        operations,
+        expectations,
+        alarm_limits,
+        feed,
+        metrics,
+        health,
+        ending: ending.clone(),
+    };
     let routes = match listener.local_addr() {
         Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts)),
         Err(error) => return tracing::error!(%error, "the HTTP port has no address"),

@@ -1,14 +1,14 @@
 //! What vetting keeps out of the map is told wherever operators look: the log, the metrics, the feed of uploads.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
-use echofix_core::vetting::alarm::{AlarmLimits, alarms};
+use echofix_core::vetting::alarm::alarms;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::MissedTickBehavior;
 
 use super::ServiceContext;
-use crate::feed::QuarantineEvent;
-use crate::http::reason_word;
+use crate::http::quarantine_event;
 use crate::metrics::OutcomeLabel;
 use crate::store::QuarantinedRecord;
 
@@ -20,14 +20,22 @@ pub(super) async fn tell(shared: ServiceContext) {
     let mut kept_out = shared.operations.kept_out();
     let mut ticks = tokio::time::interval(COUNTED);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // A decision or a rebuild changes the quarantine without telling of a record.
+    let mut progress = shared.store.progress();
     let mut changed = true;
     loop {
         tokio::select! {
+            moved = progress.changed() => {
+                if moved.is_err() {
+                    return;
+                }
+                changed = true;
+            }
             _ = ticks.tick(), if changed => changed = !count(&shared).await,
             next = kept_out.recv() => {
                 changed = true;
                 match next {
-                    Ok(record) => one(&shared, &record),
+                    Ok(record) => one(&shared, &record).await,
                     // They are in the quarantine all the same.
                     Err(RecvError::Lagged(missed)) => {
                         tracing::warn!(missed, "more uploads were kept out of the map");
@@ -39,12 +47,15 @@ pub(super) async fn tell(shared: ServiceContext) {
     }
 }
 
-fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
-    let reason = reason_word(record.reason);
-    let offset_m = record.upload.offset.map(|offset| offset.pose().x_m.hypot(offset.pose().y_m));
-    tracing::warn!(epoch = record.number, reason, offset_m, "vetting kept an upload out of the map");
+async fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
+    let (operations, number) = (shared.operations.clone(), record.number);
+    let ids = tokio::task::spawn_blocking(move || operations.upload_ids(&BTreeSet::from([number]))).await;
+    let event = quarantine_event(record, ids.ok().and_then(|ids| ids.get(&number).copied()));
+    let (reason, offset_m) = (event.reason, event.offset_m);
+    // Neither id nor contributor: the log is read by more people than the quarantine.
+    tracing::warn!(epoch = number, reason, offset_m, "vetting kept an upload out of the map");
     shared.metrics.quarantined.get_or_create(&OutcomeLabel { outcome: reason }).inc();
-    shared.feed.quarantine(QuarantineEvent { epoch: record.number, reason, offset_m });
+    shared.feed.quarantine(event);
 }
 
 /// How many there are, and how many alarms follow from them; false while the map is made anew, when nothing can be said.
@@ -53,7 +64,7 @@ async fn count(shared: &ServiceContext) -> bool {
     let found = tokio::task::spawn_blocking(move || operations.quarantined()).await;
     let Ok(Ok(kept_out)) = found else { return false };
     let uploads: Vec<_> = kept_out.iter().map(|record| record.upload).collect();
-    let alarms = alarms(&uploads, &AlarmLimits::default()).len() as i64;
+    let alarms = alarms(&uploads, &shared.config.alarms.limits()).len() as i64;
     shared.metrics.in_quarantine.set(kept_out.len() as i64);
     let before = shared.metrics.alarms.set(alarms);
     if alarms > before {

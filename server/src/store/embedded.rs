@@ -1,5 +1,6 @@
 //! The storage engine of one process, over a backend.
 
+use std::collections::{BTreeSet, HashMap};
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -12,12 +13,13 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, QuarantinedRecord, Receipt,
-    Region, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
+    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview, Proposal,
+    QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
+    Verified, io_error,
 };
 use crate::store::backend::Backend;
 use crate::store::local;
-use crate::store::log::entry::{self, Action, Control, RecordKind, RecordMeta};
+use crate::store::log::entry::{self, Action, Control, RecordMeta};
 use crate::store::log::index::{JournalIndex, Reserved};
 use crate::store::log::journal::{Journal, RecoveredJournal};
 use crate::store::log::position::Written;
@@ -27,7 +29,7 @@ use crate::store::map::context::{Settings, StoreContext};
 use crate::store::map::fold::unreadable;
 use crate::store::map::fold_worker::{self, FoldWorker};
 use crate::store::map::resume;
-use crate::store::operations::{backup, history, region, verify};
+use crate::store::operations::{backup, decide, history, past, region, verify};
 use crate::store::options::Options;
 
 /// A journal and the tiles that are folded from it, by default on local disks. Dropping it finishes what is being written.
@@ -85,9 +87,10 @@ impl EmbeddedStore {
     }
 
     /// Writes a control; the caller holds [`StoreContext::decide`].
-    fn control(&self, action: Action) -> Result<u64, Error> {
+    fn control(&self, action: Action, remark: &Remark) -> Result<u64, Error> {
         let at_us = self.shared.settings.clock.now_us();
-        let (meta, payload) = entry::control(day_of(at_us), Control { at_us, action });
+        let (meta, payload) =
+            entry::control(day_of(at_us), &Control { at_us, action, remark: remark.clone() });
         // Compacted segments end where the compaction begins.
         let fresh = matches!(action, Action::Compact(_));
         let written = self.append(meta, fresh, payload)?;
@@ -166,7 +169,8 @@ impl MapStore for EmbeddedStore {
         let lost = || Error::Damaged { what: format!("tile {id}"), reason: "it is gone".to_owned() };
         let (version, tile) = generation.tiles.stored(id)?.ok_or_else(lost)?;
         let today = generation.catalog().newest_day();
-        Ok(Some(StoredTile { version, tile: self.shared.settings.policy.served(tile, today).into() }))
+        let tile = self.shared.settings.policy.served(tile, today).into();
+        Ok(Some(StoredTile { version, day: today, tile }))
     }
 
     fn catalog(
@@ -205,43 +209,26 @@ impl MapStore for EmbeddedStore {
 }
 
 impl Operations for EmbeddedStore {
-    fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
+    fn decide(&self, proposal: &Proposal, remark: &Remark) -> Result<Option<u64>, Error> {
         let _deciding = self.shared.decide();
-        let contributor = self.shared.backend.pseudonyms.hash(pseudonym);
-        let compacted = self.shared.index.compacted();
-        if !self.shared.index.any_after(compacted, RecordKind::Upload { contributor }) {
-            return Err(Error::Unknown(
-                "this contributor has uploaded nothing that is not compacted".to_owned(),
-            ));
-        }
-        self.control(Action::RevokeContributor(contributor))
+        let action = decide::action(&self.shared, proposal)?;
+        action.map(|action| self.control(action, remark)).transpose()
     }
 
-    fn revoke_upload(&self, id: Uuid) -> Result<u64, Error> {
-        let _deciding = self.shared.decide();
-        let (index, compacted) = (&self.shared.index, self.shared.index.compacted());
-        let an_upload = index.find(id).is_some_and(|written| written.number > compacted);
-        if !an_upload && !index.any_after(compacted, RecordKind::Import { file: id }) {
-            return Err(Error::Unknown(format!(
-                "no upload or imported file {id} that is not compacted is known"
-            )));
-        }
-        self.control(Action::RevokeUpload(id))
+    fn preview(&self, proposal: &Proposal) -> Result<Preview, Error> {
+        decide::preview(&self.shared, proposal)
     }
 
-    fn rollback(&self, epoch: u64) -> Result<u64, Error> {
-        let _deciding = self.shared.decide();
-        history::in_journal(&self.shared, epoch)?;
-        self.control(Action::Rollback(epoch))
+    fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
+        self.shared.index.ids(numbers)
     }
 
-    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error> {
-        let _deciding = self.shared.decide();
-        let Some(last) = self.shared.index.last_before(before_day) else { return Ok(None) };
-        if self.shared.index.compacted() >= last {
-            return Ok(None);
-        }
-        self.control(Action::Compact(last)).map(Some)
+    fn epochs(&self) -> (u64, u64) {
+        history::epochs(&self.shared)
+    }
+
+    fn served_at(&self, epoch: u64) -> Result<Arc<dyn MapStore>, Error> {
+        past::served_at(&self.shared, epoch)
     }
 
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {

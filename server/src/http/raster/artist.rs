@@ -36,7 +36,7 @@ pub struct Artist {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
     pictures: Cache<(Layer, View), (String, Bytes)>,
-    summaries: Cache<TileId, (u64, Arc<TileSummary>)>,
+    summaries: Cache<TileId, ((u64, u16), Arc<TileSummary>)>,
     overview: Mutex<Option<(Instant, Arc<Overview>)>>,
 }
 
@@ -52,7 +52,7 @@ impl Artist {
                 .build(),
             summaries: Cache::builder()
                 .max_capacity(SUMMARIES)
-                .weigher(|_, (_, summary): &(u64, Arc<TileSummary>)| summary.weight() as u32)
+                .weigher(|_, (_, summary): &((u64, u16), Arc<TileSummary>)| summary.weight() as u32)
                 .build(),
             overview: Mutex::new(None),
         }
@@ -82,7 +82,8 @@ impl Artist {
         if let Some((_, png)) = self.pictures.get(&(layer, view)).filter(|(cached, _)| *cached == tag) {
             return Ok(Picture { tag, png: Some(png) });
         }
-        let spots = content.spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile, patience))?;
+        let spots = content
+            .spots(layer, &view, &|plane, tile| self.fetch(layer, plane, tile, newest_day, patience))?;
         let png = Bytes::from(palette::paint(layer, view.side, &spots, newest_day)?);
         self.pictures.insert((layer, view), (tag.clone(), png.clone()));
         Ok(Picture { tag, png: Some(png) })
@@ -113,6 +114,7 @@ impl Artist {
         layer: Layer,
         plane: &mut Plane,
         tile: &TileInfo,
+        day: u16,
         patience: &Patience,
     ) -> Result<(), Error> {
         if patience.is_over() {
@@ -125,7 +127,7 @@ impl Artist {
                 plane.add(tile.id, SPOT_SHIFT, found);
             }
         } else if plane.shift() >= summary::SHIFT {
-            if let Some(summary) = self.summary(tile)? {
+            if let Some(summary) = self.summary(tile, day)? {
                 plane.add(tile.id, summary::SHIFT, summary.blocks());
             }
         } else if let Some(stored) = self.store.tile(tile.id)? {
@@ -134,16 +136,16 @@ impl Artist {
         Ok(())
     }
 
-    fn summary(&self, tile: &TileInfo) -> Result<Option<Arc<TileSummary>>, Error> {
+    fn summary(&self, tile: &TileInfo, day: u16) -> Result<Option<Arc<TileSummary>>, Error> {
         let cached = self.summaries.get(&tile.id);
-        if let Some((version, summary)) = cached
-            && version >= tile.version
+        if let Some((at, summary)) = cached
+            && at == (tile.version, day)
         {
             return Ok(Some(summary));
         }
         let Some(stored) = self.store.tile(tile.id)? else { return Ok(None) };
         let summary = Arc::new(TileSummary::of(&stored.tile));
-        self.summaries.insert(tile.id, (stored.version, Arc::clone(&summary)));
+        self.summaries.insert(tile.id, ((stored.version, stored.day), Arc::clone(&summary)));
         Ok(Some(summary))
     }
 }

@@ -6,6 +6,8 @@ use echofix_core::geo::TileId;
 use echofix_core::tile::Tile;
 use uuid::Uuid;
 
+use super::{Decision, Remark};
+
 /// Something that happened to the map, newest epochs first.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HistoryEvent {
@@ -46,22 +48,14 @@ pub enum EventKind {
         at_us: i64,
         /// The decision.
         decision: Decision,
-        /// Uploads and imported tiles it takes back, for itself.
+        /// Uploads and imported tiles it takes back, for itself; when it undoes another decision, those that this one took
+        /// back.
         takes_back: u64,
+        /// Who decided, and why.
+        remark: Remark,
+        /// The decision that undid it.
+        undone_by: Option<u64>,
     },
-}
-
-/// What an operator may decide.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Decision {
-    /// To take back a contributor's uploads. Its name is not stored, and its hash stays in the store.
-    RevokeContributor,
-    /// To take back an upload or an imported file.
-    RevokeUpload(Uuid),
-    /// To take back all after this epoch.
-    Rollback(u64),
-    /// To compact all up to this record.
-    Compact(u64),
 }
 
 /// A map of the past.

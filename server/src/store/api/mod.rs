@@ -1,6 +1,7 @@
 //! What every storage engine offers, and its values. It knows nothing of how anything is stored.
 
 mod clock;
+mod decision;
 mod error;
 mod history;
 mod map_store;
@@ -10,9 +11,10 @@ mod reports;
 mod values;
 
 pub use clock::StoreClock;
+pub use decision::{Contributor, Decision, LONGEST_REMARK, Preview, Proposal, Remark};
 pub use error::Error;
 pub(in crate::store) use error::io_error;
-pub use history::{Decision, EventKind, HistoryEvent, Snapshot, TileDiff};
+pub use history::{EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use map_store::MapStore;
 pub use operations::Operations;
 pub use progress::{Building, MapProgress, MapStatus};

@@ -1,40 +1,32 @@
 //! What operators may do with the map.
 
+use std::collections::{BTreeSet, HashMap};
 use std::io::{Read, Write};
+use std::sync::Arc;
 
 use tokio::sync::broadcast;
 use uuid::Uuid;
 
-use super::{Error, HistoryEvent, Imported, QuarantinedRecord, Region, Snapshot, TileDiff, Verified};
+use super::{
+    Contributor, Error, HistoryEvent, Imported, MapStore, Preview, Proposal, QuarantinedRecord, Region,
+    Remark, Snapshot, TileDiff, Verified,
+};
 
 /// Decisions about the map's history. Each is a record of the journal: synced when the call returns its
 /// number. The map shows it from that epoch on, see [`super::MapStore::progress`]; until then it is served
 /// as it was. Every call may block on the disk.
 pub trait Operations: Send + Sync {
-    /// Takes back all that a contributor has uploaded so far. What it uploads from now on counts.
+    /// Writes a decision into the journal; `None` when there is nothing to compact.
     ///
     /// # Errors
-    /// When it uploaded nothing that can be taken back, or the journal cannot be written.
-    fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error>;
+    /// When there is nothing that it could take back or undo, what it names is compacted, or the journal cannot be written.
+    fn decide(&self, proposal: &Proposal, remark: &Remark) -> Result<Option<u64>, Error>;
 
-    /// Takes back an upload, or all tiles of an imported file.
+    /// What a decision would change. Nothing is written; the journal is folded in memory, twice.
     ///
     /// # Errors
-    /// When there is none of this id that can be taken back, or the journal cannot be written.
-    fn revoke_upload(&self, id: Uuid) -> Result<u64, Error>;
-
-    /// Takes back all uploads and imports after an epoch. Revocations stay.
-    ///
-    /// # Errors
-    /// When the epoch is not in the journal, or the journal cannot be written.
-    fn rollback(&self, epoch: u64) -> Result<u64, Error>;
-
-    /// Compacts what was written before a UTC day, counted from the Unix epoch: it can no longer be
-    /// taken back, and nothing remembers who contributed it. `None` when there is nothing to compact.
-    ///
-    /// # Errors
-    /// When the journal cannot be written.
-    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error>;
+    /// As [`Operations::decide`], or when the disk refuses.
+    fn preview(&self, proposal: &Proposal) -> Result<Preview, Error>;
 
     /// The uploads that vetting kept out of the map, oldest first; those that were compacted are forgotten.
     ///
@@ -42,12 +34,24 @@ pub trait Operations: Send + Sync {
     /// When the map is being rebuilt, or the disk refuses.
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error>;
 
+    /// The ids of the uploads that are these records, as far as the journal still has them.
+    fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid>;
+
     /// Follows what vetting keeps out of the map from now on; a slow listener misses some.
     fn kept_out(&self) -> broadcast::Receiver<QuarantinedRecord>;
 
     /// What happened to the map, newest first: uploads by runs, controls one by one. What was compacted is
     /// not listed any more.
     fn history(&self, limit: usize) -> Vec<HistoryEvent>;
+
+    /// The oldest and the newest epoch that a map can be had of.
+    fn epochs(&self) -> (u64, u64);
+
+    /// The map as it was served at an epoch, folded from the journal into memory: published cells, decayed to its newest day.
+    ///
+    /// # Errors
+    /// As [`Operations::at`].
+    fn served_at(&self, epoch: u64) -> Result<Arc<dyn MapStore>, Error>;
 
     /// The map as of an epoch, folded from the journal into memory.
     ///
@@ -90,4 +94,42 @@ pub trait Operations: Send + Sync {
     /// # Errors
     /// When the map is being rebuilt. Damage is an answer, not an error.
     fn verify(&self, replay: bool) -> Result<Verified, Error>;
+
+    /// Takes back all that a contributor has uploaded so far, by its pseudonym.
+    ///
+    /// # Errors
+    /// As [`Operations::decide`].
+    fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
+        let contributor = Contributor::Pseudonym(pseudonym.to_owned());
+        self.decide(&Proposal::RevokeContributor(contributor), &Remark::default()).map(written)
+    }
+
+    /// Takes back an upload, or all tiles of an imported file.
+    ///
+    /// # Errors
+    /// As [`Operations::decide`].
+    fn revoke_upload(&self, id: Uuid) -> Result<u64, Error> {
+        self.decide(&Proposal::RevokeUpload(id), &Remark::default()).map(written)
+    }
+
+    /// Takes back all uploads and imports after an epoch.
+    ///
+    /// # Errors
+    /// As [`Operations::decide`].
+    fn rollback(&self, epoch: u64) -> Result<u64, Error> {
+        self.decide(&Proposal::Rollback(epoch), &Remark::default()).map(written)
+    }
+
+    /// Compacts what was written before a UTC day, counted from the Unix epoch; `None` when there is nothing to compact.
+    ///
+    /// # Errors
+    /// As [`Operations::decide`].
+    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error> {
+        self.decide(&Proposal::Compact(before_day), &Remark::default())
+    }
+}
+
+/// Only a compaction may have nothing to write.
+fn written(number: Option<u64>) -> u64 {
+    number.unwrap_or_default()
 }

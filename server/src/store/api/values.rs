@@ -50,6 +50,8 @@ pub struct StoredTile {
     /// Epoch of the tile's last change. In one lineage a version stands for the same evidence for ever; what is
     /// served of it fades as the map's newest day moves on.
     pub version: u64,
+    /// Newest day of the map as of which it is published: what fades is another tile on another day.
+    pub day: u16,
     /// The evidence that is published of it.
     pub tile: Arc<Tile>,
 }

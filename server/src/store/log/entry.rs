@@ -12,15 +12,17 @@
 //! | 3 roll back | varint epoch, varint time |
 //! | 4 compact | varint last record compacted, varint time |
 //! | 5 import | id of the file (16 bytes), EPSG code, x, y, the encoded tile |
+//! | 6 undo | varint number of the control that is undone, varint time |
 //!
-//! Times are microseconds since the Unix epoch.
+//! Times are microseconds since the Unix epoch. A control may end in a remark: who decided and why, each as a varint length
+//! and UTF-8. Without one, and in journals of before there were remarks, it ends with the time.
 
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::varint::{VarintReader, VarintWriter};
 use uuid::Uuid;
 
 use super::record;
-use crate::store::api::UploadRecord;
+use crate::store::api::{Remark, UploadRecord};
 
 const VERSION: u8 = 0xe1;
 const UPLOAD: u8 = 0;
@@ -29,6 +31,7 @@ const REVOKE_UPLOAD: u8 = 2;
 const ROLLBACK: u8 = 3;
 const COMPACT: u8 = 4;
 const IMPORT: u8 = 5;
+const UNDO: u8 = 6;
 
 /// What the index needs of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -58,11 +61,13 @@ pub(in crate::store) enum RecordKind {
 }
 
 /// A decision about the records before it. Applying one takes a new generation of tiles.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::store) struct Control {
     /// When, microseconds since the Unix epoch.
     pub(in crate::store) at_us: i64,
     pub(in crate::store) action: Action,
+    /// Who decided, and why.
+    pub(in crate::store) remark: Remark,
 }
 
 /// What was decided.
@@ -74,6 +79,8 @@ pub(in crate::store) enum Action {
     RevokeUpload(Uuid),
     /// No earlier upload or import after this epoch counts.
     Rollback(u64),
+    /// An earlier control of another kind than compaction has no effect any more.
+    Undo(u64),
     /// The records up to this one are in the checkpoint, whatever is decided later.
     Compact(u64),
 }
@@ -85,6 +92,7 @@ impl Action {
             Self::RevokeContributor(_) => "revoke_contributor",
             Self::RevokeUpload(_) => "revoke_upload",
             Self::Rollback(_) => "rollback",
+            Self::Undo(_) => "undo",
             Self::Compact(_) => "compact",
         }
     }
@@ -105,17 +113,23 @@ pub(in crate::store) fn upload(day: u16, upload: &UploadRecord) -> (RecordMeta, 
     (RecordMeta { day, what }, out.bytes)
 }
 
-pub(in crate::store) fn control(day: u16, control: Control) -> (RecordMeta, Vec<u8>) {
+pub(in crate::store) fn control(day: u16, control: &Control) -> (RecordMeta, Vec<u8>) {
     let (kind, content) = match control.action {
         Action::RevokeContributor(hash) => (REVOKE_CONTRIBUTOR, hash.to_le_bytes().to_vec()),
         Action::RevokeUpload(id) => (REVOKE_UPLOAD, id.as_bytes().to_vec()),
         Action::Rollback(epoch) => (ROLLBACK, varint(epoch)),
+        Action::Undo(number) => (UNDO, varint(number)),
         Action::Compact(last) => (COMPACT, varint(last)),
     };
     let mut out = begun(day, kind);
     out.bytes.extend(content);
     out.put(control.at_us as u64);
-    (RecordMeta { day, what: RecordSubject::Control(control) }, out.bytes)
+    if !control.remark.is_empty() {
+        for words in [&control.remark.by, &control.remark.reason] {
+            out.put_bytes(words.as_deref().unwrap_or_default().as_bytes());
+        }
+    }
+    (RecordMeta { day, what: RecordSubject::Control(control.clone()) }, out.bytes)
 }
 
 pub(in crate::store) fn import(day: u16, file: Uuid, tile: TileId, encoded: &[u8]) -> (RecordMeta, Vec<u8>) {
@@ -157,7 +171,8 @@ pub(in crate::store) fn meta(bytes: &[u8]) -> Option<RecordMeta> {
         _ => {
             let action = action(kind, &mut rest)?;
             let at_us = rest.get::<u64>()? as i64;
-            rest.rest.is_empty().then_some(RecordSubject::Control(Control { at_us, action }))?
+            let remark = remark(&mut rest)?;
+            rest.rest.is_empty().then_some(RecordSubject::Control(Control { at_us, action, remark }))?
         }
     };
     Some(RecordMeta { day, what })
@@ -205,9 +220,22 @@ fn action(kind: u8, input: &mut VarintReader<'_>) -> Option<Action> {
         REVOKE_CONTRIBUTOR => Action::RevokeContributor(u64::from_le_bytes(input.take(8)?.try_into().ok()?)),
         REVOKE_UPLOAD => Action::RevokeUpload(Uuid::from_slice(input.take(16)?).ok()?),
         ROLLBACK => Action::Rollback(input.get()?),
+        UNDO => Action::Undo(input.get()?),
         COMPACT => Action::Compact(input.get()?),
         _ => return None,
     })
+}
+
+/// What may stand at the end of a control.
+fn remark(input: &mut VarintReader<'_>) -> Option<Remark> {
+    if input.rest.is_empty() {
+        return Some(Remark::default());
+    }
+    let mut words = || {
+        let words = std::str::from_utf8(input.bytes()?).ok()?;
+        Some((!words.is_empty()).then(|| words.to_owned()))
+    };
+    Some(Remark { by: words()?, reason: words()? })
 }
 
 #[cfg(test)]
@@ -221,9 +249,21 @@ mod tests {
             any::<u64>().prop_map(Action::RevokeContributor),
             any::<u128>().prop_map(|id| Action::RevokeUpload(Uuid::from_u128(id))),
             any::<u64>().prop_map(Action::Rollback),
+            any::<u64>().prop_map(Action::Undo),
             any::<u64>().prop_map(Action::Compact),
         ];
-        (any::<i64>(), action).prop_map(|(at_us, action)| Control { at_us, action })
+        let words = || prop::option::of("[^\\x00]{1,20}");
+        let remark = (words(), words()).prop_map(|(by, reason)| Remark { by, reason });
+        (any::<i64>(), action, remark).prop_map(|(at_us, action, remark)| Control { at_us, action, remark })
+    }
+
+    /// Catches: controls of earlier journals that are no longer read, or written otherwise when nothing is remarked.
+    #[test]
+    fn a_control_without_a_remark_is_as_it_always_was() {
+        let control = Control { at_us: 300, action: Action::Rollback(5), remark: Remark::default() };
+        let (_, bytes) = super::control(7, &control);
+        assert_eq!(bytes, [VERSION, 7, ROLLBACK, 5, 0xac, 2]);
+        assert_eq!(meta(&bytes).unwrap().what, RecordSubject::Control(control));
     }
 
     proptest! {
@@ -235,7 +275,7 @@ mod tests {
             let Some(RecordContent::Upload(decoded)) = decode(&bytes) else { panic!("no upload") };
             prop_assert_eq!(*decoded, upload.clone());
 
-            let (written, bytes) = super::control(day, control);
+            let (written, bytes) = super::control(day, &control);
             prop_assert_eq!(meta(&bytes), Some(written));
             prop_assert!(matches!(decode(&bytes), Some(RecordContent::Control)));
             prop_assert_eq!(answer(&bytes), None);

@@ -1,10 +1,10 @@
 //! What of the journal does not count, by the controls in it.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use uuid::Uuid;
 
-use super::entry::{Action, RecordKind};
+use super::entry::{Action, Control, RecordKind};
 
 /// The records that some controls exclude. A control speaks about earlier records only: what a revoked
 /// contributor sends later counts.
@@ -19,8 +19,28 @@ pub(in crate::store) struct Exclusion {
     files: HashMap<Uuid, u64>,
 }
 
+/// The controls up to one that are not undone by a later one of them, in order. Undoing an undoing brings the first one
+/// back.
+pub(in crate::store) fn in_effect(controls: &BTreeMap<u64, Control>, up_to: u64) -> Vec<(u64, Action)> {
+    let mut undone = HashSet::new();
+    let mut found = Vec::new();
+    for (number, control) in controls.range(..=up_to).rev() {
+        if undone.contains(number) {
+            continue;
+        }
+        if let Action::Undo(earlier) = control.action
+            && earlier < *number
+        {
+            undone.insert(earlier);
+        }
+        found.push((*number, control.action));
+    }
+    found.reverse();
+    found
+}
+
 impl Exclusion {
-    /// Adds the control of a number; `number_of` knows the uploads of the journal. Controls come in
+    /// Adds the control of a number, which is in effect; `number_of` knows the uploads of the journal. Controls come in
     /// order of their numbers.
     pub(in crate::store) fn add(
         &mut self,
@@ -37,7 +57,8 @@ impl Exclusion {
                 self.files.insert(id, number);
             }
             Action::Rollback(epoch) => self.ranges.push((epoch, number)),
-            Action::Compact(_) => {}
+            // What is undone is not added in the first place.
+            Action::Undo(_) | Action::Compact(_) => {}
         }
     }
 
@@ -61,6 +82,26 @@ impl Exclusion {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Catches: a rollback that stays although it was undone, and one that stays undone although that was undone.
+    #[test]
+    fn what_is_undone_has_no_effect_until_that_is_undone() {
+        let control = |action| Control { at_us: 0, action, remark: crate::store::api::Remark::default() };
+        let controls: BTreeMap<_, _> = [
+            (5, control(Action::Rollback(2))),
+            (6, control(Action::RevokeContributor(7))),
+            (8, control(Action::Undo(5))),
+            (9, control(Action::Undo(8))),
+            (10, control(Action::Undo(9))),
+        ]
+        .into();
+        let at =
+            |up_to| in_effect(&controls, up_to).into_iter().map(|(number, _)| number).collect::<Vec<_>>();
+        assert_eq!(at(7), [5, 6]);
+        assert_eq!(at(8), [6, 8]);
+        assert_eq!(at(9), [5, 6, 9]);
+        assert_eq!(at(u64::MAX), [6, 8, 10]);
+    }
 
     #[test]
     fn controls_exclude_what_came_before_them_and_nothing_later() {

@@ -6,6 +6,7 @@
 
 mod state;
 
+use std::collections::{BTreeSet, HashMap};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use echofix_core::geo::TileId;
 use uuid::Uuid;
 
 use super::entry::{Action, Control, RecordKind, RecordMeta, RecordSubject};
-use super::exclusion::Exclusion;
+use super::exclusion::{Exclusion, in_effect};
 use super::position::{RecordPosition, Written};
 use state::{DayRun, IndexEntry, IndexState};
 
@@ -103,17 +104,17 @@ impl JournalIndex {
         debug_assert_eq!(written.number, state.newest() + 1);
         let Written { number, at: RecordPosition { segment, offset, length } } = written;
         let mut entry = IndexEntry { offset, length, contributor: 0 };
-        match meta.what {
-            RecordSubject::Upload { id, contributor } => {
+        match &meta.what {
+            &RecordSubject::Upload { id, contributor } => {
                 state.numbers.insert(id, number);
                 entry.contributor = contributor;
             }
-            RecordSubject::Import { file, tile } => {
+            &RecordSubject::Import { file, tile } => {
                 state.imports.insert((file, tile), number);
                 state.files.insert(number, file);
             }
             RecordSubject::Control(control) => {
-                state.controls.insert(number, control);
+                state.controls.insert(number, control.clone());
             }
         }
         if state.runs.last().is_none_or(|run| (run.segment, run.day) != (segment, meta.day)) {
@@ -161,7 +162,7 @@ impl JournalIndex {
 
     /// The controls, in order.
     pub(in crate::store) fn controls(&self) -> Vec<(u64, Control)> {
-        self.lock().controls.iter().map(|(number, control)| (*number, *control)).collect()
+        self.lock().controls.iter().map(|(number, control)| (*number, control.clone())).collect()
     }
 
     /// Controls that compact more than the ones before them and the checkpoint did: their numbers and the
@@ -187,18 +188,52 @@ impl JournalIndex {
     /// What the controls up to this one, with it, exclude.
     pub(in crate::store) fn exclusion(&self, up_to_control: u64) -> Exclusion {
         let state = self.lock();
-        let mut exclusion = Exclusion::default();
-        for (number, control) in state.controls.range(..=up_to_control) {
-            exclusion.add(*number, control.action, |id| state.numbers.get(&id).copied());
-        }
-        exclusion
+        state.excluded_by(&in_effect(&state.controls, up_to_control))
+    }
+
+    /// What all controls and one more, which is only thought of, exclude.
+    pub(in crate::store) fn exclusion_with(&self, proposed: Control) -> Exclusion {
+        let state = self.lock();
+        let mut controls = state.controls.clone();
+        controls.insert(state.newest() + 1, proposed);
+        state.excluded_by(&in_effect(&controls, u64::MAX))
+    }
+
+    /// The control of a number, and whether it is in effect.
+    pub(in crate::store) fn control(&self, number: u64) -> Option<(Control, bool)> {
+        let state = self.lock();
+        let control = state.controls.get(&number)?.clone();
+        let effective = in_effect(&state.controls, u64::MAX).iter().any(|(at, _)| *at == number);
+        Some((control, effective))
+    }
+
+    /// Which control undoes which, for those that are undone.
+    pub(in crate::store) fn undone(&self) -> HashMap<u64, u64> {
+        let state = self.lock();
+        let undone = |(number, action)| match action {
+            Action::Undo(earlier) => Some((earlier, number)),
+            _ => None,
+        };
+        in_effect(&state.controls, u64::MAX).into_iter().filter_map(undone).collect()
+    }
+
+    /// The ids of the uploads that are these records.
+    pub(in crate::store) fn ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
+        let state = self.lock();
+        let asked = state.numbers.iter().filter(|(_, number)| numbers.contains(number));
+        asked.map(|(id, number)| (*number, *id)).collect()
     }
 
     /// How many uploads and imported tiles this control alone excludes.
     pub(in crate::store) fn effect(&self, number: u64, action: Action) -> u64 {
         let state = self.lock();
-        let mut exclusion = Exclusion::default();
-        exclusion.add(number, action, |id| state.numbers.get(&id).copied());
+        // An undoing gives back what the other took.
+        let of = std::iter::successors(Some((number, action)), |(_, action)| match action {
+            Action::Undo(earlier) => Some((*earlier, state.controls.get(earlier)?.action)),
+            _ => None,
+        });
+        let Some(of) = of.last() else { return 0 };
+        let exclusion = state.excluded_by(&[of]);
         state.kinds().filter(|(number, kind)| exclusion.excludes(*number, *kind)).count() as u64
     }
 

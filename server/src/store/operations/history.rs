@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, HashSet};
 
 use echofix_core::tile;
 
-use crate::store::api::{Decision, Error, EventKind, HistoryEvent, Snapshot};
+use crate::store::api::{Decision, Error, EventKind, HistoryEvent, Remark, Snapshot};
 use crate::store::log::entry::{Action, RecordKind};
+use crate::store::log::exclusion::Exclusion;
 use crate::store::map::context::StoreContext;
 use crate::store::map::fold::{CountedRecords, replay};
 use crate::store::map::vetting::Vetting;
@@ -20,13 +21,18 @@ pub(in crate::store) fn events(shared: &StoreContext, limit: usize) -> Vec<Histo
     index.visit(|number, day, kind| runs.add(number, day, kind, exclusion.excludes(number, kind)));
     let skipped = runs.events.len().saturating_sub(limit);
     let mut events = runs.events.split_off(skipped);
+    let undone = index.undone();
     for event in &mut events {
+        let is_control = matches!(event.what, EventKind::Control { .. });
         // Only the index knows what a control is about.
-        if let (EventKind::Control { at_us, decision, takes_back }, Some(control)) =
-            (&mut event.what, controls.get(&event.first))
-        {
-            (*at_us, *decision) = (control.at_us, decided(control.action));
-            *takes_back = index.effect(event.first, control.action);
+        if let Some(control) = controls.get(&event.first).filter(|_| is_control) {
+            event.what = EventKind::Control {
+                at_us: control.at_us,
+                decision: decided(control.action),
+                takes_back: index.effect(event.first, control.action),
+                remark: control.remark.clone(),
+                undone_by: undone.get(&event.first).copied(),
+            };
         }
     }
     events.reverse();
@@ -34,6 +40,13 @@ pub(in crate::store) fn events(shared: &StoreContext, limit: usize) -> Vec<Histo
 }
 
 pub(in crate::store) fn snapshot(shared: &StoreContext, epoch: u64) -> Result<Snapshot, Error> {
+    in_journal(shared, epoch)?;
+    let tiles = folded(shared, epoch, &shared.index.exclusion(epoch))?;
+    Ok(Snapshot { epoch, tiles: tiles.into_iter().map(|(id, folded)| (id, folded.tile)).collect() })
+}
+
+/// The map of checkpoint and journal up to an epoch, without what is excluded.
+pub(super) fn folded(shared: &StoreContext, epoch: u64, exclusion: &Exclusion) -> Result<InMemory, Error> {
     // No record that is read here goes meanwhile.
     let checkpoint = shared.checkpoint();
     in_journal(shared, epoch)?;
@@ -50,7 +63,6 @@ pub(in crate::store) fn snapshot(shared: &StoreContext, epoch: u64) -> Result<Sn
         );
         Ok(())
     })?;
-    let exclusion = &index.exclusion(epoch);
     let mut vetting = Vetting::new(shared.settings.policy.vetting);
     let records = CountedRecords {
         journal: &shared.journal,
@@ -63,13 +75,17 @@ pub(in crate::store) fn snapshot(shared: &StoreContext, epoch: u64) -> Result<Sn
     if index.ended() {
         return Err(Error::Stopped("the store is being closed".to_owned()));
     }
-    let tiles = map.into_iter().map(|(id, folded)| (id, folded.tile)).collect();
-    Ok(Snapshot { epoch, tiles })
+    Ok(map)
+}
+
+/// The oldest and the newest epoch that a map can be had of.
+pub(in crate::store) fn epochs(shared: &StoreContext) -> (u64, u64) {
+    (shared.index.compacted().max(shared.index.before()), shared.index.newest())
 }
 
 /// Is this the epoch of a map that can be had?
 pub(in crate::store) fn in_journal(shared: &StoreContext, epoch: u64) -> Result<(), Error> {
-    let (oldest, newest) = (shared.index.compacted().max(shared.index.before()), shared.index.newest());
+    let (oldest, newest) = epochs(shared);
     if (oldest..=newest).contains(&epoch) {
         return Ok(());
     }
@@ -79,9 +95,10 @@ pub(in crate::store) fn in_journal(shared: &StoreContext, epoch: u64) -> Result<
 
 fn decided(action: Action) -> Decision {
     match action {
-        Action::RevokeContributor(_) => Decision::RevokeContributor,
+        Action::RevokeContributor(hash) => Decision::RevokeContributor(hash),
         Action::RevokeUpload(id) => Decision::RevokeUpload(id),
         Action::Rollback(epoch) => Decision::Rollback(epoch),
+        Action::Undo(number) => Decision::Undo(number),
         Action::Compact(last) => Decision::Compact(last),
     }
 }
@@ -122,9 +139,13 @@ impl Runs {
                         EventKind::Uploads { uploads: 1, contributors: 1, taken_back: excluded }
                     }
                     RecordKind::Import { file } => EventKind::Import { file, tiles: 1, taken_back: excluded },
-                    RecordKind::Control => {
-                        EventKind::Control { at_us: 0, decision: Decision::Compact(0), takes_back: 0 }
-                    }
+                    RecordKind::Control => EventKind::Control {
+                        at_us: 0,
+                        decision: Decision::Compact(0),
+                        takes_back: 0,
+                        remark: Remark::default(),
+                        undone_by: None,
+                    },
                 };
                 self.events.push(HistoryEvent { first: number, last: number, day, what });
             }

@@ -70,7 +70,7 @@ fn history_groups_uploads_and_tells_what_controls_did() {
         first: number,
         last: number,
         day: 101,
-        what: EventKind::Control { at_us, decision, takes_back },
+        what: EventKind::Control { at_us, decision, takes_back, remark: Remark::default(), undone_by: None },
     };
     let run = |first, last, day, contributors, taken_back| HistoryEvent {
         first,
@@ -81,10 +81,101 @@ fn history_groups_uploads_and_tells_what_controls_did() {
     let expected = [
         control(11, Decision::Rollback(8), 2),
         run(8, 10, 101, 2, 2),
-        control(7, Decision::RevokeContributor, 2),
+        control(7, Decision::RevokeContributor(one), 2),
         run(5, 6, 101, 1, 0),
         run(1, 4, 100, 2, 2),
     ];
     assert_eq!(store.history(10), expected);
     assert_eq!(store.history(2), expected[..2]);
+}
+
+/// Catches: a rollback that cannot be undone, an undoing that brings back something else than what was taken, a preview
+/// that tells another change than the decision makes, and a remark that is lost with the process.
+#[test]
+fn a_rollback_is_foretold_undone_and_done_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut store = open(dir.path());
+    let uploads = by_cars(&store, some_uploads(12));
+    commit_all(&store, &uploads);
+    let before = bytes(&store);
+    let remark = Remark { by: Some("anna".to_owned()), reason: Some("a shifted street".to_owned()) };
+    for (proposal, after) in [
+        (Proposal::Rollback(5), never_had(&uploads[..5])),
+        (Proposal::Undo(13), before.clone()),
+        (Proposal::Undo(14), never_had(&uploads[..5])),
+        (Proposal::Undo(15), before.clone()),
+    ] {
+        let (was, foretold) = (store.at(store.epochs().1).unwrap(), store.preview(&proposal).unwrap());
+        assert_eq!(foretold.uploads_out + foretold.uploads_back, 7, "{proposal:?}");
+        let number = store.decide(&proposal, &remark).unwrap().unwrap();
+        assert_eq!(bytes(&store), after, "{proposal:?}");
+        assert_eq!(was.diff(&store.at(number).unwrap()), foretold.tiles, "{proposal:?}");
+        assert!(!foretold.tiles.is_empty());
+        drop(store);
+        store = open(dir.path());
+        assert_eq!(bytes(&store), after, "{proposal:?}, after a restart");
+    }
+    let controls: Vec<_> = store.history(10).into_iter().map(|event| event.what).collect();
+    let EventKind::Control { remark: kept, undone_by, takes_back, .. } = &controls[3] else {
+        panic!("{controls:?}")
+    };
+    // The second undoing undid the first, and the third that one: the rollback is undone by the first again.
+    assert_eq!((kept, *undone_by, *takes_back), (&remark, Some(14), 7));
+    assert!(matches!(store.decide(&Proposal::Undo(13), &remark), Err(Error::Unknown(_))), "it is undone");
+    assert!(matches!(store.decide(&Proposal::Undo(3), &remark), Err(Error::Unknown(_))), "an upload");
+}
+
+/// Catches: an undoing that brings back less than was taken, since a compaction was faster.
+#[test]
+fn what_is_compacted_is_not_brought_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = by_cars(&store, some_uploads(8));
+    TODAY.set(Some(100));
+    commit_all(&store, &uploads);
+    store.rollback(3).unwrap();
+    TODAY.set(Some(101));
+    let remark = Remark::default();
+    assert!(matches!(store.decide(&Proposal::Compact(103), &remark), Err(Error::Unusable(_))), "the future");
+    let compact = Proposal::Compact(101);
+    assert_eq!(store.preview(&compact).unwrap().compacted, 8);
+    let compacted = store.decide(&compact, &remark).unwrap().unwrap();
+    for number in [9, compacted] {
+        let refused = store.decide(&Proposal::Undo(number), &remark);
+        assert!(matches!(&refused, Err(Error::Unknown(why)) if why.contains("compacted")), "{refused:?}");
+    }
+    caught_up(&store);
+    assert!(store.preview(&Proposal::Undo(9)).is_err());
+    assert_eq!(bytes(&store), never_had(&uploads[..3]));
+}
+
+/// Catches: a map of the past that shows what was not published then, or not what was.
+#[test]
+fn a_map_of_the_past_is_served_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path());
+    let uploads = by_cars(&store, some_uploads(9));
+    let mut then = Vec::new();
+    for upload in &uploads {
+        store.commit(upload.clone()).unwrap();
+        caught_up(&store);
+        then.push(shown(&store));
+    }
+    store.rollback(2).unwrap();
+    caught_up(&store);
+    for (epoch, served) in (1..).zip(then) {
+        assert_eq!(shown(&*store.served_at(epoch).unwrap()), served, "epoch {epoch}");
+    }
+    assert!(store.served_at(99).is_err());
+}
+
+/// All that a map shows: its tiles' ids, cells and versions, and it in numbers.
+fn shown(store: &dyn MapStore) -> (Vec<(TileId, u64, Vec<u8>)>, Totals) {
+    let all = |zone| store.catalog(zone, i32::MIN..=i32::MAX, i32::MIN..=i32::MAX).unwrap();
+    let tiles = store.zones().into_iter().flat_map(all).map(|info| {
+        let stored = store.tile(info.id).unwrap().unwrap();
+        (info.id, stored.version, stored.encoded())
+    });
+    // How large a tile is stored is another matter.
+    (tiles.collect(), Totals { bytes: 0, ..store.totals() })
 }

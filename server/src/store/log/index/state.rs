@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use echofix_core::geo::TileId;
 use uuid::Uuid;
 
-use crate::store::log::entry::{Control, RecordKind};
+use crate::store::log::entry::{Action, Control, RecordKind};
+use crate::store::log::exclusion::Exclusion;
 use crate::store::log::position::{RecordPosition, Written};
 
 /// Bytes of records handed out for folding at a time, but for a single larger one.
@@ -50,6 +51,15 @@ pub(super) struct DayRun {
 }
 
 impl IndexState {
+    /// What these controls exclude, all of which are in effect.
+    pub(super) fn excluded_by(&self, controls: &[(u64, Action)]) -> Exclusion {
+        let mut exclusion = Exclusion::default();
+        for (number, action) in controls {
+            exclusion.add(*number, *action, |id| self.numbers.get(&id).copied());
+        }
+        exclusion
+    }
+
     pub(super) fn newest(&self) -> u64 {
         self.before + self.records.len() as u64
     }

@@ -1,0 +1,104 @@
+//! What vetting kept out of the map, and what several contributors agree on.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::response::Response;
+use echofix_core::datum::Offset;
+use echofix_core::geo::{Grid, Zone};
+use echofix_core::point::MapPoint;
+use echofix_core::vetting::Reason;
+use echofix_core::vetting::alarm::{Alarm, AlarmKind, alarms};
+use serde_json::{Value, json};
+use uuid::Uuid;
+
+use super::App;
+use super::day::iso_date;
+use super::error::Error;
+use super::operations::{fresh, work};
+use crate::feed::QuarantineEvent;
+use crate::store::QuarantinedRecord;
+
+/// Uploads that are listed, at most.
+const MAX_LISTED: usize = 10_000;
+
+/// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, newest first, and what they agree on
+pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> {
+    let limits = app.state.alarm_limits;
+    let (kept_out, ids, alarms) = work(&app, move |operations| {
+        let kept_out = operations.quarantined()?;
+        let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
+        let listed = kept_out.iter().rev().take(MAX_LISTED).map(|record| record.number).collect();
+        Ok((kept_out, operations.upload_ids(&listed), alarms(&entries, &limits)))
+    })
+    .await?;
+    let alarms: Vec<_> = alarms.iter().map(alarm_json).collect();
+    let newest = kept_out.iter().rev().take(MAX_LISTED);
+    let uploads: Vec<_> = newest.map(|record| quarantined(record, &ids)).collect();
+    Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))
+}
+
+fn quarantined(record: &QuarantinedRecord, ids: &HashMap<u64, Uuid>) -> Value {
+    let event = quarantine_event(record, ids.get(&record.number).copied());
+    // Our own plain structs always have a JSON form.
+    serde_json::to_value(event).unwrap_or_default()
+}
+
+/// An entry of the quarantine, as it is listed and as it is told.
+pub fn quarantine_event(record: &QuarantinedRecord, id: Option<Uuid>) -> QuarantineEvent {
+    let upload = &record.upload;
+    QuarantineEvent {
+        epoch: record.number,
+        upload_id: id.map(|id| id.to_string()),
+        contributor: hash_word(upload.contributor),
+        reason: reason_word(record.reason),
+        date: iso_date(upload.day),
+        place: place_json(upload.zone, upload.position),
+        offset: upload.offset.as_ref().map(offset_json),
+        offset_m: upload.offset.map(|offset| offset.pose().x_m.hypot(offset.pose().y_m)),
+    }
+}
+
+/// Why vetting kept an upload out, in one word.
+pub fn reason_word(reason: Reason) -> &'static str {
+    match reason {
+        Reason::Shifted => "SHIFTED",
+        Reason::Rotated => "ROTATED",
+        Reason::Disagrees => "DISAGREES",
+    }
+}
+
+/// A contributor's keyed hash, as it is told.
+pub fn hash_word(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+/// The keyed hash that is told so.
+pub fn parse_hash(word: &str) -> Option<u64> {
+    let hex = word.len() == 16 && word.bytes().all(|b| b.is_ascii_hexdigit());
+    hex.then(|| u64::from_str_radix(word, 16).ok()).flatten()
+}
+
+/// An alarm as it is listed, and told.
+pub fn alarm_json(alarm: &Alarm) -> Value {
+    let (kind, by) = match &alarm.kind {
+        AlarmKind::Shift(by) => ("SHIFT", Some(offset_json(by))),
+        AlarmKind::Changed => ("CHANGED", None),
+    };
+    json!({
+        "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
+        "place": place_json(alarm.zone, alarm.position),
+    })
+}
+
+fn offset_json(offset: &Offset) -> Value {
+    let pose = offset.pose();
+    json!({ "east_m": pose.x_m, "north_m": pose.y_m, "yaw_deg": pose.yaw_rad.to_degrees() })
+}
+
+/// WGS-84 degrees of a point; nothing where the zone does not reach.
+fn place_json(zone: Zone, point: MapPoint) -> Value {
+    let at = Grid::new(zone).and_then(|grid| grid.unproject(point));
+    at.map_or(Value::Null, |at| json!({ "lat": at.lat_deg, "lon": at.lon_deg }))
+}

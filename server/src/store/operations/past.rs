@@ -1,0 +1,106 @@
+//! A map of the past, as it was served.
+
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+use echofix_core::geo::{TileId, Zone};
+use tokio::sync::watch;
+use uuid::Uuid;
+
+use crate::store::api::{
+    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord,
+};
+use crate::store::log::entry::RecordKind;
+use crate::store::map::catalog::Catalog;
+use crate::store::map::context::StoreContext;
+use crate::store::operations::history;
+
+/// A map in memory that is only read, and changes no more.
+struct PastMap {
+    lineage: u64,
+    tiles: BTreeMap<TileId, StoredTile>,
+    catalog: Catalog,
+    uploads: u64,
+    progress: watch::Sender<MapProgress>,
+}
+
+pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<Arc<dyn MapStore>, Error> {
+    history::in_journal(shared, epoch)?;
+    let exclusion = shared.index.exclusion(epoch);
+    let policy = &shared.settings.policy;
+    let folded = history::folded(shared, epoch, &exclusion)?;
+    let today = folded.values().map(|folded| folded.tile.newest_day()).max().unwrap_or_default();
+    let (mut tiles, mut catalog) = (BTreeMap::new(), Catalog::default());
+    for (id, folded) in folded {
+        let newest_day = folded.tile.newest_day();
+        let cells = folded.tile.supported(policy.publish_contributors).count() as u32;
+        let tile = policy.served(folded.tile, today);
+        let stored = StoredTile { version: folded.version, day: today, tile: Arc::new(tile) };
+        let bytes = stored.encoded().len() as u32;
+        catalog.put(TileInfo { id, version: folded.version, cells, newest_day, bytes });
+        if cells > 0 {
+            tiles.insert(id, stored);
+        }
+    }
+    let mut uploads = 0;
+    shared.index.visit(|number, _, kind| {
+        let is_upload = matches!(kind, RecordKind::Upload { .. });
+        uploads += u64::from(is_upload && number <= epoch);
+    });
+    let progress = watch::Sender::new(MapProgress {
+        state: MapStatus::Serving,
+        epoch,
+        journaled: epoch,
+        building: None,
+        stopped: false,
+        refusing: false,
+    });
+    Ok(Arc::new(PastMap { lineage: shared.lineage, tiles, catalog, uploads, progress }))
+}
+
+impl MapStore for PastMap {
+    fn contributor(&self, _: &str) -> u64 {
+        // Nobody uploads to the past.
+        0
+    }
+
+    fn lineage(&self) -> u64 {
+        self.lineage
+    }
+
+    fn commit(&self, _: UploadRecord) -> Result<Receipt, Error> {
+        Err(Error::Stopped("a map of the past takes no uploads".to_owned()))
+    }
+
+    fn counted(&self, _: Uuid) -> Result<Option<Receipt>, Error> {
+        Ok(None)
+    }
+
+    fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error> {
+        Ok(self.tiles.get(&id).cloned())
+    }
+
+    fn catalog(
+        &self,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Vec<TileInfo>, Error> {
+        let mut found = self.catalog.block(zone, &x, &y);
+        found.retain(|info| info.cells > 0);
+        Ok(found)
+    }
+
+    fn zones(&self) -> Vec<Zone> {
+        self.catalog.zones()
+    }
+
+    fn totals(&self) -> Totals {
+        self.catalog.totals(self.uploads)
+    }
+
+    fn progress(&self) -> watch::Receiver<MapProgress> {
+        self.progress.subscribe()
+    }
+}
