@@ -44,6 +44,8 @@ mod embedded;
 mod local;
 mod log;
 mod map;
+#[cfg_attr(not(test), expect(dead_code, reason = "the replicated store comes next"))]
+mod object;
 mod operations;
 mod options;
 #[cfg(test)]
