@@ -6,6 +6,7 @@
 //! - [`patience`]: how long a caller waits for blocking work.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
+//! - [`identity`]: who is there, and what they may do; the same for both ports.
 //! - [`grpc`]: for vehicles: decode and validate, call the domain, encode.
 //! - [`http`]: for operators: map layers, catalog, feeds, probes and the console.
 //! - [`mapping`]: what an upload must fulfil.
@@ -22,6 +23,7 @@ pub mod feed;
 pub mod grpc;
 pub mod health;
 pub mod http;
+pub mod identity;
 pub mod locating;
 pub mod log;
 pub mod mapping;

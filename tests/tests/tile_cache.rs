@@ -17,14 +17,13 @@ use echofix_tests::wiretap::Wiretap;
 use echofix_tests::{binary, crowd, grpc, mapping, town, until_blocking};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tonic::transport::Endpoint;
 use uuid::Uuid;
 
 fn open(dir: &Path) -> TileCache {
     TileCache::open(dir, TileCacheLimits::default()).expect("the cache can be opened")
 }
 
-fn endpoint(url: &str) -> Endpoint {
+fn endpoint(url: &str) -> service::ServiceEndpoint {
     service::ServiceAddress::at(url).endpoint().expect("the address is one")
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
+use echofix_harness::credentials::Credentials;
 use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
@@ -91,8 +92,13 @@ pub enum MapOperation {
 ///
 /// # Errors
 /// When the service cannot be reached or refuses, a file cannot be read or written, or `verify` finds damage.
-pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<()> {
-    let port = OperatorsPort::at(http);
+pub fn run(
+    operation: &MapOperation,
+    http: &str,
+    credentials: &Credentials,
+    json: bool,
+) -> anyhow::Result<()> {
+    let port = OperatorsPort::at(http, credentials)?;
     let body = match operation {
         MapOperation::History { limit } => {
             let body = port.get(&format!("history?limit={limit}"))?;
@@ -210,13 +216,9 @@ struct OperatorsPort {
 }
 
 impl OperatorsPort {
-    fn at(http: &str) -> Self {
-        let config = ureq::Agent::config_builder()
-            .timeout_global(Some(WITHIN))
-            // A refusal has a body, with its reason.
-            .http_status_as_error(false);
+    fn at(http: &str, credentials: &Credentials) -> anyhow::Result<Self> {
         let root = format!("{}/api/v1/map", http.trim_end_matches('/'));
-        Self { agent: config.build().into(), root }
+        Ok(Self { agent: credentials.agent(http, WITHIN)?, root })
     }
 
     fn get(&self, path: &str) -> anyhow::Result<Value> {

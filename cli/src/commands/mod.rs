@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod demo;
+pub mod identity;
 pub mod import;
 pub mod localize;
 pub mod map;
@@ -11,6 +12,7 @@ pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod tiles;
+pub mod token;
 
 use std::ops::RangeInclusive;
 use std::str::FromStr;

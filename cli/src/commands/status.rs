@@ -1,6 +1,7 @@
 //! `echofix status`: whether a running service is ready, and what its map holds.
 
-use echofix_harness::http::get_json;
+use echofix_harness::credentials::Credentials;
+use echofix_harness::http::get_json_as;
 
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
@@ -14,9 +15,10 @@ pub struct Args {
 ///
 /// # Errors
 /// When the service cannot be reached, is not ready, or does not answer with JSON.
-pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let ready = get_json(&args.http, "/readyz")?;
-    let map = get_json(&args.http, "/api/v1/map")?;
+pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
+    let ready = get_json_as(credentials, &args.http, "/readyz")?;
+    // Who may not see the map is told so there; whether the service is ready, anybody may know.
+    let map = get_json_as(credentials, &args.http, "/api/v1/map")?;
     if json {
         println!("{}", serde_json::json!({ "readiness": ready, "map": map }));
     } else {

@@ -2,10 +2,12 @@
 //!
 //! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
+//! - [`access`]: who calls, and whether they may.
 //! - [`faults`]: what the transport could not read is the caller's fault.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.
 
+mod access;
 pub mod decode;
 mod faults;
 mod get_coverage;
@@ -25,6 +27,7 @@ use crate::locating::Expectations;
 use crate::patience::Patience;
 use crate::store::MapStore;
 use crate::trace::in_current_span;
+pub use access::AccessLayer;
 pub use faults::FaultsLayer;
 pub use localize::{INTEGRITY_RISKS, LocalizationApi};
 pub use upload::MappingApi;
@@ -107,7 +110,8 @@ impl v1::mapping_service_server::MappingService for MappingApi {
         &self,
         request: Request<Streaming<v1::UploadRequest>>,
     ) -> Result<Response<v1::UploadResponse>, Status> {
-        self.receive(request.into_inner()).await.map(Response::new)
+        let caller = access::caller(request.extensions())?;
+        self.receive(request.into_inner(), &caller).await.map(Response::new)
     }
 }
 

@@ -22,6 +22,7 @@ use uuid::Uuid;
 use super::invalid_field::InvalidField;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
+use crate::identity::Caller;
 use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
 use crate::sparse;
@@ -61,6 +62,7 @@ impl MappingApi {
     pub(super) async fn receive(
         &self,
         requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
+        caller: &Caller,
     ) -> Result<UploadResponse, Status> {
         let permit = self.permits.clone().try_acquire_owned();
         let permit = permit.map_err(|_| self.shed("too many uploads at once"))?;
@@ -68,7 +70,7 @@ impl MappingApi {
         if progress.journaled.saturating_sub(progress.epoch) > self.config.max_unfolded {
             return Err(self.shed("uploads wait to be folded"));
         }
-        let received = receive::all(requests, &self.config, self.stall).await;
+        let received = receive::all(requests, &self.config, self.stall, caller).await;
         let received = received.inspect_err(|_| self.count("INVALID"))?;
         let began = Instant::now();
         let (id, this) = (received.id, self.clone());

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, Request, State};
+use axum::extract::{Extension, Query, Request, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
@@ -20,10 +20,11 @@ use tokio_stream::wrappers::ReceiverStream;
 
 use super::App;
 use super::error::Error;
-use super::operations::work;
+use super::operations::{audit, work};
 use super::raster::corners;
 use super::region_days::DatedRegion;
 use crate::grpc::now_us;
+use crate::identity::Caller;
 use crate::store::{self, MapStore, Operations, Region};
 use crate::trace::in_current_span;
 
@@ -57,12 +58,20 @@ pub async fn export(
 }
 
 /// `GET /api/v1/map/backup`
-pub async fn backup(State(app): State<Arc<App>>) -> Result<Response, Error> {
+pub async fn backup(
+    State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
+) -> Result<Response, Error> {
+    audit(&caller, "take a backup", None, None);
     streamed(&app, "application/x-tar", "echofix-backup.tar", |operations, out| operations.backup(out))
 }
 
 /// `POST /api/v1/map/import`
-pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Response, Error> {
+pub async fn import(
+    State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
+    request: Request,
+) -> Result<Response, Error> {
     // A page elsewhere may not send this type without being allowed to.
     if request.headers().get(header::CONTENT_TYPE).is_none_or(|kind| kind != BINARY) {
         return Err(Error::BadRequest(format!("send the file as {BINARY}")));
@@ -80,6 +89,7 @@ pub async fn import(State(app): State<Arc<App>>, request: Request) -> Result<Res
     });
     let (imported, ()) = tokio::join!(importing, sending);
     let imported = imported?;
+    audit(&caller, &format!("import file {}", imported.file), None, Some(imported.epoch));
     let body = json!({
         "file": imported.file.to_string(),
         "tiles": imported.tiles,

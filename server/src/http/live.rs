@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::header;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -18,6 +18,7 @@ use tokio_stream::{Stream, StreamExt};
 
 use super::error::Error;
 use super::{App, catalog, probes};
+use crate::identity::{Caller, Role};
 
 const MAX_LIMIT: usize = 500;
 
@@ -55,10 +56,15 @@ fn fresh(body: serde_json::Value) -> Response {
     ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }
 
-/// `GET /api/v1/events`, until the listener leaves or the service drains
-pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Error> {
+/// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only
+/// operators are told of them.
+pub async fn events(
+    State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
+) -> Result<impl IntoResponse, Error> {
     let permit = app.limiter.listen()?;
     let feed = &app.state.feed;
+    let sees_fixes = caller.may(Role::Operator);
     let map =
         WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));
     let progress = app.state.store.progress();
@@ -66,7 +72,7 @@ pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Er
         .map(move |now| event("health", &probes::readiness_json(&now, &progress.borrow())));
     let stream = map
         .merge(health)
-        .merge(feed_events("fix", feed.fixes.subscribe()))
+        .merge(feed_events("fix", feed.fixes.subscribe()).filter(move |_| sees_fixes))
         .merge(feed_events("upload", feed.uploads.subscribe()))
         .merge(feed_events("quarantine", feed.quarantined.subscribe()))
         .map(Some);

@@ -1,5 +1,6 @@
 //! Which connections are let in, and for how long they may say nothing.
 
+mod door;
 mod frames;
 
 use std::io;
@@ -10,13 +11,16 @@ use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::time::{Sleep, sleep};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 
+use crate::identity::{Closing, Entry, Peer};
 use crate::sparse;
+pub(super) use door::Door;
+use door::{Opened, Stream};
 use frames::FrameCount;
 
 /// How long accepting rests when the system has no more descriptors.
@@ -27,11 +31,12 @@ pub(super) struct Acceptor {
     listener: TcpListener,
     permits: Arc<Semaphore>,
     handshake: Duration,
+    door: Door,
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration) -> Self {
-        Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake }
+    pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration, door: Door) -> Self {
+        Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake, door }
     }
 
     /// The connections from now on, until the receiver is dropped.
@@ -39,23 +44,20 @@ impl Acceptor {
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {
             loop {
-                let connection = tokio::select! {
-                    connection = self.next() => connection,
+                tokio::select! {
+                    () = self.next(&sender) => {}
                     () = sender.closed() => return,
-                };
-                if sender.send(connection).await.is_err() {
-                    return;
                 }
             }
         });
         ReceiverStream::new(receiver)
     }
 
-    /// The next connection there is a permit for; others are closed at once.
-    async fn next(&self) -> Connection {
+    /// Lets the next connection in that there is a permit for; others are closed at once. TLS keeps nobody else waiting.
+    async fn next(&self, sender: &mpsc::Sender<Connection>) {
         loop {
-            let stream = match self.listener.accept().await {
-                Ok((stream, _)) => stream,
+            let (stream, address) = match self.listener.accept().await {
+                Ok(accepted) => accepted,
                 Err(error) => {
                     if let Some(left_out) = sparse::line("a connection could not be accepted") {
                         tracing::warn!(%error, left_out, "a connection could not be accepted");
@@ -70,39 +72,55 @@ impl Acceptor {
             };
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
-            let deadline = Box::pin(sleep(self.handshake));
-            let frames = FrameCount::new(Instant::now());
-            return Connection {
-                stream,
-                deadline,
-                first_request: FirstRequest::default(),
-                frames,
-                _permit: permit,
-            };
+            let mut deadline = Box::pin(sleep(self.handshake));
+            let (door, sender) = (self.door.clone(), sender.clone());
+            tokio::spawn(async move {
+                let opened = tokio::select! {
+                    opened = door.open(stream, address) => opened,
+                    () = &mut deadline => None,
+                };
+                let Some(Opened { stream, entry, closing }) = opened else { return };
+                let first_request = FirstRequest { came: Arc::default(), entry: Arc::new(entry) };
+                let frames = FrameCount::new(Instant::now());
+                let connection =
+                    Connection { stream, deadline, closing, first_request, frames, _permit: permit };
+                // Nobody takes it once the port is closed.
+                let _ = sender.send(connection).await;
+            });
+            return;
         }
     }
 }
 
-/// Whether a connection's first request is still awaited.
-#[derive(Debug, Clone, Default)]
-pub(super) struct FirstRequest(Arc<AtomicBool>);
+/// Whether a connection's first request is still awaited, and whose connection it is.
+#[derive(Clone)]
+pub(super) struct FirstRequest {
+    came: Arc<AtomicBool>,
+    entry: Arc<Entry>,
+}
 
 impl FirstRequest {
     /// A request came.
     pub(super) fn came(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.came.store(true, Ordering::Relaxed);
+    }
+
+    /// The other end of its connection.
+    pub(super) fn peer(&self) -> &Arc<Peer> {
+        self.entry.peer()
     }
 
     fn is_over(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.came.load(Ordering::Relaxed)
     }
 }
 
 /// A connection that ends when its first request does not come in time, whatever else it sends, and when it sends frames
 /// without end that carry none.
 pub(super) struct Connection {
-    stream: TcpStream,
+    stream: Stream,
     deadline: Pin<Box<Sleep>>,
+    closing: Closing,
     pub(super) first_request: FirstRequest,
     frames: FrameCount,
     _permit: OwnedSemaphorePermit,
@@ -135,6 +153,10 @@ impl AsyncRead for Connection {
             if !self.first_request.is_over() {
                 return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
             }
+        }
+        // Its certificate was revoked, or its token: whoever it is connects again, or not.
+        if Pin::new(&mut self.closing).poll(cx) == Poll::Ready(Ok(())) {
+            return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
         }
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);

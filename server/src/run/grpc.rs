@@ -17,11 +17,12 @@ use tonic::{Request, Status};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::connections::{Acceptor, FirstRequest};
+use super::connections::{Acceptor, Door, FirstRequest};
 use super::{Error, ServiceContext};
 use crate::config::LimitsConfig;
-use crate::grpc::{FaultsLayer, LocalizationApi, MapApi, MappingApi};
+use crate::grpc::{AccessLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
+use crate::identity::Port;
 use crate::locating::Locator;
 use crate::trace::RequestSpanLayer;
 
@@ -73,11 +74,13 @@ pub(super) async fn serve(
         .max_encoding_message_size(MAX_ANSWER);
     let health = health.max_decoding_message_size(MAX_NAME);
 
-    let acceptor = Acceptor::new(listener, connections, limits.handshake());
+    let door = Door::new(shared.gate.clone(), Port::Grpc);
+    let acceptor = Acceptor::new(listener, connections, limits.handshake(), door);
     let served = limited(limits)
         .layer(RequestSpanLayer::grpc())
         .layer(InterceptorLayer::new(note_request))
         .layer(FaultsLayer::new(metrics.clone()))
+        .layer(AccessLayer::new(shared.gate.clone()))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)
@@ -106,11 +109,12 @@ fn limited(limits: &LimitsConfig) -> tonic::transport::Server {
         .initial_connection_window_size(CONNECTION_WINDOW)
 }
 
-/// Notes that a connection's first request came.
+/// Notes that a connection's first request came, and whose connection it is.
 #[expect(clippy::unnecessary_wraps, reason = "the shape of an interceptor")]
-fn note_request(request: Request<()>) -> Result<Request<()>, Status> {
-    if let Some(first_request) = request.extensions().get::<FirstRequest>() {
+fn note_request(mut request: Request<()>) -> Result<Request<()>, Status> {
+    if let Some(first_request) = request.extensions().get::<FirstRequest>().cloned() {
         first_request.came();
+        request.extensions_mut().insert(Arc::clone(first_request.peer()));
     }
     Ok(request)
 }

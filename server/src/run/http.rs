@@ -9,14 +9,15 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::connections::Acceptor;
+use super::connections::{Acceptor, Door};
 use super::{ServiceContext, ended};
 use crate::config::LimitsConfig;
 use crate::http::{Hosts, HttpState, router_at};
+use crate::identity::Port;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health } = shared;
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();
@@ -31,12 +32,13 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
-        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts)),
+        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts), gate.clone()),
         Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
     };
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
-    let mut connections = Acceptor::new(listener, limits.connections, limits.handshake()).open();
+    let door = Door::new(gate, Port::Http);
+    let mut connections = Acceptor::new(listener, limits.connections, limits.handshake(), door).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {
@@ -46,8 +48,9 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         };
         let Some(connection) = connection else { break };
         let (first_request, routes) = (connection.first_request.clone(), routes.clone());
-        let service = service_fn(move |request| {
+        let service = service_fn(move |mut request: hyper::Request<_>| {
             first_request.came();
+            request.extensions_mut().insert(std::sync::Arc::clone(first_request.peer()));
             routes.call(request)
         });
         let served = builder.serve_connection(TokioIo::new(connection), service).into_owned();

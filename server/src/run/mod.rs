@@ -29,6 +29,7 @@ use tokio::sync::watch;
 use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
+use crate::identity::{self, Gate};
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
@@ -63,6 +64,9 @@ pub enum Error {
         /// What the operating system reported.
         source: io::Error,
     },
+    /// Nobody can be let in as configured.
+    #[error(transparent)]
+    Identity(#[from] identity::Error),
     /// The gRPC port failed.
     #[error("the gRPC port failed: {0}")]
     Grpc(#[from] tonic::transport::Error),
@@ -84,6 +88,7 @@ struct ServiceContext {
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     health: Arc<Health>,
+    gate: Arc<Gate>,
 }
 
 /// A service that has its ports and its store, and answers once it is run.
@@ -108,8 +113,9 @@ impl Server {
     /// Takes the ports and opens the store, which checks all of the journal.
     ///
     /// # Errors
-    /// When a port is taken, or the store is damaged or in use.
+    /// When nobody can be let in as configured, a port is taken, or the store is damaged or in use.
     pub async fn bind(config: Config) -> Result<Self, Error> {
+        let gate = config.gate()?;
         let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
@@ -133,6 +139,7 @@ impl Server {
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
+            gate: Arc::new(gate),
         };
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
     }
@@ -161,6 +168,7 @@ impl Server {
         let follower = tokio::spawn(follow::follow(shared.clone()));
         let retention = tokio::spawn(retention::keep(shared.clone()));
         let quarantine = tokio::spawn(quarantine::tell(shared.clone()));
+        let identities = tokio::spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
         let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
         let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -172,6 +180,7 @@ impl Server {
         follower.abort();
         retention.abort();
         quarantine.abort();
+        identities.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");
@@ -200,6 +209,9 @@ pub async fn serve(
     let server = Server::bind(config).await?;
     let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
     tracing::info!(grpc = %addresses.grpc, http = %addresses.http, "listening");
+    if let Some(roles) = server.shared.gate.anonymous() {
+        tracing::warn!(%roles, "anybody who reaches the ports has these roles (`identity.anonymous`)");
+    }
     if let Some(path) = address_file {
         let failed = |source| Error::AddressFile { path: path.display().to_string(), source };
         write_whole(path, &addresses).map_err(failed)?;
