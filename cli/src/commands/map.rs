@@ -57,6 +57,10 @@ pub struct Args {
     /// Upload scans and poses (raw uploads). Without it, the evidence that was built from them.
     #[arg(long)]
     raw: bool,
+    /// Upload under this name instead of the log's vehicle: to a service that knows the caller, its own name, or for a gateway
+    /// one below it.
+    #[arg(long)]
+    contributor: Option<String>,
     /// Use only these scans of each log, counted from 1, like 1-9.
     #[arg(long)]
     scans: Option<ScanRange>,
@@ -122,6 +126,9 @@ async fn map_drive(
     json: bool,
 ) -> anyhow::Result<()> {
     let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    if let Some(contributor) = &args.contributor {
+        drive.vehicle.clone_from(contributor);
+    }
     if let Some(scans) = &args.scans {
         scans.apply(&mut drive);
     }
