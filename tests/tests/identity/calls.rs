@@ -77,6 +77,7 @@ const EXPECTED: &[(&str, &str, &str)] = &[
     ("GET", "/api/v1/map/backup", OPERATORS),
     ("POST", "/api/v1/map/rollback", OPERATORS),
     ("POST", "/api/v1/map/revoke", OPERATORS),
+    ("POST", "/api/v1/map/undo", OPERATORS),
     ("POST", "/api/v1/map/compact", OPERATORS),
     ("POST", "/api/v1/map/settle", OPERATORS),
     ("POST", "/api/v1/map/import", OPERATORS),
