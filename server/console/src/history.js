@@ -38,7 +38,7 @@ export function showHistory({ events }, { look, rollback, undo }) {
         el('span', { textContent: `${when} · ${epochs}` })),
       el('p', { className: 'acts' },
         undoable ? deciding('Undo', `Undo decision ${event.last}`, () => undo(event)) : null,
-        deciding('Roll back to here', `Roll back to epoch ${event.last}`, () => rollback(event))));
+        deciding('Roll back to here', `Roll back to here, epoch ${event.last}`, () => rollback(event))));
   };
   const none = el('li', { className: 'none', textContent: 'Nothing has happened yet.' });
   byId('history').replaceChildren(...(events.length ? events.map(row) : [none]));
