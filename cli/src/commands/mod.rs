@@ -1,6 +1,7 @@
 //! One file a subcommand.
 
 pub mod calibrate;
+mod decisions;
 pub mod demo;
 pub mod identity;
 pub mod import;

@@ -21,6 +21,8 @@ use super::{App, catalog, probes};
 use crate::identity::{Caller, Role};
 
 const MAX_LIMIT: usize = 500;
+/// How often a listener hears something, at least.
+const ALIVE: Duration = Duration::from_secs(2);
 
 /// `?limit=`
 #[derive(Deserialize)]
@@ -82,7 +84,9 @@ pub async fn events(
         let _held = &permit;
         event.map(Ok::<_, Infallible>)
     });
-    let sse = Sse::new(stream).keep_alive(KeepAlive::new().interval(Duration::from_secs(15)));
+    // An event and no comment: a page does not hear comments, and shall notice when nobody speaks any more.
+    let alive = KeepAlive::new().interval(ALIVE).event(Event::default().event("alive").data(""));
+    let sse = Sse::new(stream).keep_alive(alive);
     Ok(([("x-accel-buffering", "no")], sse))
 }
 
@@ -139,6 +143,14 @@ mod tests {
             "starting",
         ];
         read_until(response.into_body(), &wanted).await;
+    }
+
+    /// Catches: a page that cannot tell a silent service from a dead one.
+    #[tokio::test]
+    async fn a_listener_hears_that_the_service_lives() {
+        let site = TestSite::default();
+        let body = site.get("/api/v1/events").await.into_body();
+        read_until(body, &["event: health", "event: alive"]).await;
     }
 
     #[tokio::test]

@@ -15,6 +15,7 @@
 //! - `files`: regions out and in, backups.
 //! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
+//! - `meridians`: intervals of longitudes.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
 //! - `openapi`: the description of all this.
@@ -31,6 +32,7 @@ mod files;
 mod layers;
 mod limits;
 mod live;
+mod meridians;
 mod openapi;
 mod operations;
 mod origin;
