@@ -1,11 +1,14 @@
 //! What the service counts, in OpenMetrics text. No label ever names a vehicle.
 
+use std::collections::HashMap;
+
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::sparse;
@@ -84,6 +87,8 @@ impl Default for Metrics {
 impl Metrics {
     fn register(&mut self) {
         let r = &mut self.registry;
+        let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
+        r.register("build", "The version that runs", build);
         r.register("fixes", "Localization requests by outcome", self.fixes.clone());
         let help = "gRPC calls that were refused before their first answer, by code";
         r.register("refused_calls", help, self.refused.clone());
@@ -112,6 +117,12 @@ impl Metrics {
         r.register("unfolded_contributions", "Uploads in the journal not folded yet", self.unfolded.clone());
     }
 
+    /// All metrics in Prometheus' older text format, for readers that ask for it.
+    #[must_use]
+    pub fn render_classic(&self) -> String {
+        classic(&self.render())
+    }
+
     /// All metrics as OpenMetrics text.
     #[must_use]
     pub fn render(&self) -> String {
@@ -124,9 +135,66 @@ impl Metrics {
     }
 }
 
+/// OpenMetrics text in the format of before it: a counter is described under the name of its sample, and there are neither
+/// units nor an end.
+fn classic(text: &str) -> String {
+    let described = |line: &str, what: &str| line.strip_prefix(what).and_then(|rest| rest.split_once(' '));
+    let kinds: HashMap<&str, &str> =
+        text.lines().filter_map(|line| described(line, "# TYPE ").map(|(name, kind)| (name, kind))).collect();
+    let named = |name: &str| match kinds.get(name) {
+        Some(&"counter") => format!("{name}_total"),
+        Some(&"info") => format!("{name}_info"),
+        _ => name.to_owned(),
+    };
+    let mut out = String::with_capacity(text.len());
+    for line in text.lines() {
+        if line.starts_with("# UNIT ") || line == "# EOF" {
+            continue;
+        }
+        let line = if let Some((name, help)) = described(line, "# HELP ") {
+            format!("# HELP {} {help}", named(name))
+        } else if let Some((name, kind)) = described(line, "# TYPE ") {
+            let kind = match kind {
+                "info" => "gauge",
+                "unknown" => "untyped",
+                kind => kind,
+            };
+            format!("# TYPE {} {kind}", named(name))
+        } else {
+            line.to_owned()
+        };
+        out.push_str(&line);
+        out.push('\n');
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Catches: an older Prometheus that finds counters without a type, or takes the end for a line of its own.
+    #[test]
+    fn the_older_format_describes_each_sample_by_its_name() {
+        let metrics = Metrics::default();
+        metrics.fixes.get_or_create(&OutcomeLabel { outcome: "USABLE" }).inc();
+        metrics.align_seconds.observe(0.01);
+        let text = metrics.render_classic();
+        for line in [
+            "# TYPE echofix_fixes_total counter",
+            "echofix_fixes_total{outcome=\"USABLE\"} 1",
+            "# TYPE echofix_align_seconds histogram",
+            "# TYPE echofix_map_epoch gauge",
+            "# TYPE echofix_build_info gauge",
+        ] {
+            assert!(text.contains(&format!("{line}\n")), "{line}: {text}");
+        }
+        assert!(
+            text.contains("echofix_build_info{version=\"")
+                && !text.contains("# EOF")
+                && !text.contains("# UNIT")
+        );
+    }
 
     #[test]
     fn what_was_counted_is_rendered() {

@@ -60,7 +60,7 @@ async function loadMap() {
 
 async function loadFeeds() {
   const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`), ask('/api/v1/uploads?limit=50')]);
-  Object.assign(state, { fixes, uploads });
+  Object.assign(state, { fixes, uploads: uploads.map(marked) });
   redraw();
 }
 
@@ -71,6 +71,8 @@ async function loadDecisions() {
   showHistory(past, { look, rollback, undo });
   time.range(past);
   drawQuarantine(map, quarantine);
+  state.uploads = state.uploads.map(marked);
+  redraw();
 }
 
 // What is decided.
@@ -244,7 +246,8 @@ map.once('load', () => {
 
 /** An upload, with what vetting said of it. */
 function marked(upload) {
-  const kept = upload.epoch && state.kept.find(({ epoch }) => epoch === upload.epoch);
+  const known = [...state.kept, ...state.quarantine.uploads];
+  const kept = upload.epoch && known.find(({ epoch }) => epoch === upload.epoch);
   return kept ? { ...upload, outcome: 'QUARANTINED', kept } : upload;
 }
 

@@ -39,9 +39,14 @@ export function follow(on) {
   const connect = () => {
     const source = new EventSource('/api/v1/events');
     let silence;
+    const wait = (ms) => {
+      const from = Date.now();
+      // A page that slept or was busy has not listened: it does, for a moment, before it says that nobody speaks.
+      silence = setTimeout(() => (Date.now() - from > ms + 500 ? wait(1000) : lost()), ms);
+    };
     const heard = () => {
       clearTimeout(silence);
-      silence = setTimeout(lost, SILENT_MS);
+      wait(SILENT_MS);
     };
     const lost = () => {
       clearTimeout(silence);

@@ -252,7 +252,7 @@ mod tests {
     async fn a_box_is_checked_and_cuts() {
         let site = StoredSite::with_uploads(5).await;
         for (area, status) in
-            [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 404), ("9,1,8,0", 400), ("0,NaN,1,1", 400)]
+            [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 200), ("9,1,8,0", 400), ("0,NaN,1,1", 400)]
         {
             assert_eq!(site.get(&format!("/api/v1/map/export?box={area}")).await.status(), status, "{area}");
         }

@@ -83,11 +83,25 @@ fn in_one_world([west, south, east, north]: [f64; 4]) -> [f64; 4] {
 /// `http://host:port` as the client reached us, or nothing: then addresses are relative.
 fn origin(headers: &HeaderMap) -> String {
     let text = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
-    let scheme =
-        text("x-forwarded-proto").filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or("http");
-    let is_plain = |host: &&str| host.bytes().all(|b| b.is_ascii_alphanumeric() || b".:-[]_".contains(&b));
-    let host = text("host").filter(is_plain).filter(|host| !host.is_empty());
-    host.map(|host| format!("{scheme}://{host}")).unwrap_or_default()
+    // Each proxy on the way adds its word behind those before: the first is what the client said.
+    let first = |list: &'static str| text(list).and_then(|list| list.split(',').next()).map(str::trim);
+    let forwarded = |key: &str| {
+        let pairs = first("forwarded")?.split(';').filter_map(|pair| pair.split_once('='));
+        let (_, value) = pairs.into_iter().find(|(name, _)| name.trim().eq_ignore_ascii_case(key))?;
+        Some(value.trim().trim_matches('"'))
+    };
+    let scheme = forwarded("proto").or_else(|| first("x-forwarded-proto"));
+    let scheme = scheme.filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or("http");
+    let is_plain = |host: &&str| {
+        !host.is_empty() && host.bytes().all(|b| b.is_ascii_alphanumeric() || b".:-[]_".contains(&b))
+    };
+    let said = forwarded("host").or_else(|| first("x-forwarded-host")).filter(is_plain);
+    let host = said.or_else(|| text("host").filter(is_plain));
+    let is_path = |path: &&str| {
+        path.starts_with('/') && path.bytes().all(|b| b.is_ascii_alphanumeric() || b"/-_.~".contains(&b))
+    };
+    let prefix = first("x-forwarded-prefix").filter(is_path).unwrap_or_default().trim_end_matches('/');
+    host.map_or_else(|| prefix.to_owned(), |host| format!("{scheme}://{host}{prefix}"))
 }
 
 #[cfg(test)]
@@ -308,6 +322,38 @@ mod tests {
             "{bounds:?}"
         );
         assert_eq!(body["legend"][0]["label"], "today");
+        for (headers, origin) in [
+            (
+                &[
+                    ("host", "10.0.0.1"),
+                    ("x-forwarded-proto", "https, http"),
+                    ("x-forwarded-host", "maps.example, inner"),
+                ][..],
+                "https://maps.example",
+            ),
+            (
+                &[
+                    ("host", "10.0.0.1"),
+                    (
+                        "forwarded",
+                        "for=1.2.3.4;Proto=https;host=\"maps.example:8443\", for=5.6.7.8;proto=http",
+                    ),
+                ],
+                "https://maps.example:8443",
+            ),
+            (&[("host", "maps.example"), ("x-forwarded-prefix", "/radar/")], "http://maps.example/radar"),
+            (
+                &[
+                    ("host", "maps.example"),
+                    ("x-forwarded-proto", "javascript"),
+                    ("x-forwarded-host", "a\"b"),
+                ],
+                "http://maps.example",
+            ),
+        ] {
+            let body = json_of(site.send(Method::GET, "/tiles/age.json", headers).await).await;
+            assert_eq!(body["tiles"][0], format!("{origin}/tiles/age/{{z}}/{{x}}/{{y}}.png"));
+        }
         let spoofed = site.send(Method::GET, "/tiles/age.json", &[("host", "a\"b")]).await;
         assert_eq!(json_of(spoofed).await["tiles"][0], "/tiles/age/{z}/{x}/{y}.png");
     }

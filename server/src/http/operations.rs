@@ -40,7 +40,9 @@ pub async fn history(
     if !(1..=MAX_EVENTS).contains(&limit) {
         return Err(Error::BadRequest(format!("limit must lie within 1 and {MAX_EVENTS}")));
     }
-    let found = work(&app, move |operations| Ok((operations.history(limit), operations.epochs())));
+    let operations = Arc::clone(&app.state.operations);
+    // It is read from memory: no operation that folds the map is waited for.
+    let found = app.limiter.work(move || Ok((operations.history(limit), operations.epochs())));
     let (events, (oldest, newest)) = found.await?;
     let events: Vec<_> = events.iter().map(event).collect();
     Ok(fresh(json!({ "events": events, "oldest": oldest, "newest": newest })))

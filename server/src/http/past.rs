@@ -7,6 +7,7 @@ use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
 use moka::sync::Cache;
 use serde::Deserialize;
+use tokio::sync::Mutex;
 
 use super::App;
 use super::error::Error;
@@ -43,12 +44,17 @@ pub struct Shown {
 }
 
 /// Maps of the past that are looked at.
-pub struct PastMaps(Cache<u64, Shown>);
+pub struct PastMaps {
+    maps: Cache<u64, Shown>,
+    /// Held while one is folded: requests at the same time wait for it instead of folding it, too, or being refused.
+    folding: Mutex<()>,
+}
 
 impl Default for PastMaps {
     fn default() -> Self {
         // An epoch is the same map for ever.
-        Self(Cache::builder().max_capacity(KEPT).time_to_idle(IDLE).build())
+        let maps = Cache::builder().max_capacity(KEPT).time_to_idle(IDLE).build();
+        Self { maps, folding: Mutex::default() }
     }
 }
 
@@ -67,23 +73,22 @@ impl App {
             let reason = format!("epoch {epoch} cannot be had: the journal goes from {oldest} to {newest}");
             return Err(Error::NotFound(reason));
         }
-        if let Some(shown) = self.past.0.get(&epoch) {
+        if let Some(shown) = self.past.maps.get(&epoch) {
             return Ok(shown);
         }
-        let (app, expectations) = (Arc::clone(self), Arc::clone(&self.state.expectations));
-        work(self, move |operations| {
-            // Requests for the same epoch wait for one that folds it.
-            let made = app.past.0.try_get_with(epoch, || -> Result<Shown, Error> {
-                let store = operations.served_at(epoch)?;
-                let expectations = Arc::new(expectations.over(Arc::clone(&store)));
-                let artist = Arc::new(Artist::new(Arc::clone(&store), expectations));
-                Ok(Shown { store, artist })
-            });
-            made.map_err(|error| match &*error {
-                Error::Store(error) => Error::Store(Arc::clone(error)),
-                other => Error::Internal(other.to_string()),
-            })
-        })
-        .await
+        let _folding = self.past.folding.lock().await;
+        if let Some(shown) = self.past.maps.get(&epoch) {
+            return Ok(shown);
+        }
+        let expectations = Arc::clone(&self.state.expectations);
+        let shown = work(self, move |operations| {
+            let store = operations.served_at(epoch)?;
+            let expectations = Arc::new(expectations.over(Arc::clone(&store)));
+            let artist = Arc::new(Artist::new(Arc::clone(&store), expectations));
+            Ok(Shown { store, artist })
+        });
+        let shown = shown.await?;
+        self.past.maps.insert(epoch, shown.clone());
+        Ok(shown)
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::IntoResponse;
 use serde_json::{Value, json};
 
@@ -13,6 +13,7 @@ use crate::health::{Readiness, ServiceReadiness};
 use crate::store::MapProgress;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const CLASSIC: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// `GET /healthz`: whether a restart would help
 pub async fn healthz(State(app): State<Arc<App>>) -> impl IntoResponse {
@@ -48,14 +49,35 @@ pub fn readiness_json(readiness: &ServiceReadiness, progress: &MapProgress) -> V
 }
 
 /// `GET /metrics`
-pub async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
-    ([(header::CONTENT_TYPE, OPEN_METRICS)], app.state.metrics.render())
+pub async fn metrics(State(app): State<Arc<App>>, headers: HeaderMap) -> impl IntoResponse {
+    let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let accepted = accepted.collect::<Vec<_>>().join(",").to_ascii_lowercase();
+    // Who names only the older format knows no other.
+    let classic = accepted.contains("text/plain") && !accepted.contains("application/openmetrics-text");
+    let vary = (header::VARY, "accept");
+    if classic {
+        return ([(header::CONTENT_TYPE, CLASSIC), vary], app.state.metrics.render_classic());
+    }
+    ([(header::CONTENT_TYPE, OPEN_METRICS), vary], app.state.metrics.render())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::http::testing::{TestSite, json_of};
+
+    #[tokio::test]
+    async fn metrics_come_in_the_format_that_is_accepted() {
+        let site = TestSite::default();
+        for (accept, kind) in [
+            ("*/*", OPEN_METRICS),
+            ("text/plain;version=0.0.4;q=0.5,*/*;q=0.1", CLASSIC),
+            ("application/openmetrics-text;version=1.0.0,text/plain;version=0.0.4;q=0.5", OPEN_METRICS),
+        ] {
+            let answer = site.send(axum::http::Method::GET, "/metrics", &[("accept", accept)]).await;
+            assert_eq!(answer.headers()["content-type"], kind, "{accept}");
+        }
+    }
 
     #[tokio::test]
     async fn readiness_says_why_not() {

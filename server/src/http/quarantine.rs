@@ -16,7 +16,7 @@ use uuid::Uuid;
 use super::App;
 use super::day::iso_date;
 use super::error::Error;
-use super::operations::{fresh, work};
+use super::operations::fresh;
 use crate::feed::QuarantineEvent;
 use crate::store::QuarantinedRecord;
 
@@ -26,13 +26,14 @@ const MAX_LISTED: usize = 10_000;
 /// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, newest first, and what they agree on
 pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> {
     let limits = app.state.alarm_limits;
-    let (kept_out, ids, alarms) = work(&app, move |operations| {
+    let operations = Arc::clone(&app.state.operations);
+    let read = app.limiter.work(move || {
         let kept_out = operations.quarantined()?;
         let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
         let listed = kept_out.iter().rev().take(MAX_LISTED).map(|record| record.number).collect();
         Ok((kept_out, operations.upload_ids(&listed), alarms(&entries, &limits)))
-    })
-    .await?;
+    });
+    let (kept_out, ids, alarms) = read.await?;
     let alarms: Vec<_> = alarms.iter().map(alarm_json).collect();
     let newest = kept_out.iter().rev().take(MAX_LISTED);
     let uploads: Vec<_> = newest.map(|record| quarantined(record, &ids)).collect();
