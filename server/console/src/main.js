@@ -13,6 +13,7 @@ import { addDifference, drawDifference, timeControls } from './past.js';
 import { addQuarantine, drawQuarantine, showQuarantine } from './quarantine.js';
 import { meant } from './search.js';
 import { ask, follow } from './service.js';
+import { addSignIn } from './signin.js';
 import { tabs } from './tabs.js';
 
 const KEPT = 500;
@@ -59,7 +60,9 @@ async function loadMap() {
 }
 
 async function loadFeeds() {
-  const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`), ask('/api/v1/uploads?limit=50')]);
+  // Fixes tell where somebody is: not all who may look at the map are told of them.
+  const untold = (error) => (error.status === 403 ? { fixes: [] } : Promise.reject(error));
+  const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`).catch(untold), ask('/api/v1/uploads?limit=50')]);
   Object.assign(state, { fixes, uploads: uploads.map(marked) });
   redraw();
 }
@@ -261,6 +264,8 @@ follow({
   lost() {
     showStream('lost');
     showStale();
+    // A stream does not say why it is refused; this does, and asks for a sign-in if that is it.
+    ask('/api/v1/map').catch(() => {});
   },
   health: showHealth,
   map(progress) {
@@ -294,6 +299,7 @@ byId('fold').addEventListener('click', ({ currentTarget }) => {
   const folded = byId('panel').classList.toggle('folded');
   currentTarget.setAttribute('aria-expanded', String(!folded));
 });
+addSignIn();
 byId('filter').addEventListener('change', ({ currentTarget }) => {
   state.filter = currentTarget.value;
   redraw();
