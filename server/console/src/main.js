@@ -47,8 +47,15 @@ async function loadMap() {
   }
 }
 
+/** The last fixes; none for who may not see where somebody is. */
+const fixesIfShown = () =>
+  ask(`/api/v1/fixes?limit=${KEPT}`).catch((error) => {
+    if (error.status !== 403) throw error;
+    return { fixes: [] };
+  });
+
 async function loadFeeds() {
-  const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`), ask('/api/v1/uploads?limit=50')]);
+  const [{ fixes }, { uploads }] = await Promise.all([fixesIfShown(), ask('/api/v1/uploads?limit=50')]);
   Object.assign(state, { fixes, uploads });
   redraw();
 }

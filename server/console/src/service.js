@@ -1,8 +1,14 @@
 // What the service sends: its answers, and the stream of what happens.
 
+import { signIn } from './signin.js';
+
 /** JSON of an address; throws the service's own words. */
 export async function ask(path) {
-  const response = await fetch(path, { headers: { accept: 'application/json' } });
+  let response = await fetch(path, { headers: { accept: 'application/json' } });
+  if (response.status === 401) {
+    await signIn();
+    response = await fetch(path, { headers: { accept: 'application/json' } });
+  }
   const body = await response.json().catch(() => undefined);
   if (response.ok) return body;
   const message = body?.error?.message ?? `${path} answered ${response.status}`;
