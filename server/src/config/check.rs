@@ -4,7 +4,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
 use crate::grpc::INTEGRITY_RISKS;
-use crate::identity;
+use crate::identity::{self, RatesConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 
@@ -26,6 +26,7 @@ impl Config {
             mapping(&self.mapping),
             limits(&self.limits),
             alarms(&self.alarms),
+            rates(&self.rates),
             together(self),
         ];
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
@@ -275,6 +276,14 @@ fn limits(limits: &LimitsConfig) -> Vec<Rule> {
         seconds("limits.request_s", limits.request_s),
         seconds("limits.stall_s", limits.stall_s),
         ("limits.shutdown_s", limits.shutdown_s <= DAY_S, "must be at most 86400"),
+    ]
+}
+
+fn rates(rates: &RatesConfig) -> Vec<Rule> {
+    let most = "must be at most 1000000; 0 is no limit";
+    vec![
+        ("rates.localize_per_s", rates.localize_per_s <= 1_000_000, most),
+        ("rates.upload_per_min", rates.upload_per_min <= 1_000_000, most),
     ]
 }
 

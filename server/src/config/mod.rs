@@ -11,7 +11,7 @@ use std::time::Duration;
 use echofix_core::vetting::alarm::AlarmLimits;
 use serde::{Deserialize, Serialize};
 
-use crate::identity::{self, Gate, IdentityConfig, TlsConfig};
+use crate::identity::{self, Gate, IdentityConfig, RatesConfig, TlsConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 use crate::store::TableEngine;
@@ -82,6 +82,8 @@ pub struct Config {
     pub tls: TlsConfig,
     /// Who is let in.
     pub identity: IdentityConfig,
+    /// How often one caller may ask.
+    pub rates: RatesConfig,
     /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What holds for uploads and requests alike.

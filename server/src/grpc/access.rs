@@ -4,6 +4,7 @@ use std::future::{Future, ready};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use axum::http::{Extensions, Request, Response};
 use tonic::body::Body;
@@ -12,17 +13,20 @@ use tower::{Layer, Service};
 
 use super::status;
 use crate::identity::access::Call;
-use crate::identity::{Caller, Gate, Peer, Refusal};
+use crate::identity::{Caller, Gate, Peer, Rated, Rates, Refusal};
 
 /// Lets through only what the caller may call.
 #[derive(Clone)]
-pub struct AccessLayer(Arc<Gate>);
+pub struct AccessLayer {
+    gate: Arc<Gate>,
+    rates: Arc<Rates>,
+}
 
 impl AccessLayer {
-    /// As the gate says.
+    /// As the gate says, and no oftener than the rates do.
     #[must_use]
-    pub fn new(gate: Arc<Gate>) -> Self {
-        Self(gate)
+    pub fn new(gate: Arc<Gate>, rates: Arc<Rates>) -> Self {
+        Self { gate, rates }
     }
 }
 
@@ -30,14 +34,14 @@ impl<S> Layer<S> for AccessLayer {
     type Service = Admitting<S>;
 
     fn layer(&self, inner: S) -> Admitting<S> {
-        Admitting { gate: Arc::clone(&self.0), inner }
+        Admitting { layer: self.clone(), inner }
     }
 }
 
 /// A service whose requests come from callers that may call it.
 #[derive(Clone)]
 pub struct Admitting<S> {
-    gate: Arc<Gate>,
+    layer: AccessLayer,
     inner: S,
 }
 
@@ -56,15 +60,56 @@ where
     }
 
     fn call(&mut self, mut request: Request<B>) -> Self::Future {
-        let peer = request.extensions().get::<Arc<Peer>>().map(Arc::as_ref);
-        match self.gate.admit(Call::Rpc(request.uri().path()), peer, request.headers()) {
+        match self.layer.admit(&request) {
             Ok(caller) => {
-                request.extensions_mut().insert(Arc::new(caller));
+                let caller = Counted { caller: Arc::new(caller), rates: Arc::clone(&self.layer.rates) };
+                request.extensions_mut().insert(caller);
                 Box::pin(self.inner.call(request))
             }
-            Err(refusal) => Box::pin(ready(Ok(refused(&refusal).into_http()))),
+            Err(status) => Box::pin(ready(Ok(status.into_http()))),
         }
     }
+}
+
+impl AccessLayer {
+    fn admit<B>(&self, request: &Request<B>) -> Result<Caller, Status> {
+        let (path, peer) = (request.uri().path(), request.extensions().get::<Arc<Peer>>().map(Arc::as_ref));
+        let caller = self.gate.admit(Call::Rpc(path), peer, request.headers());
+        let caller = caller.map_err(|refusal| refused(&refusal))?;
+        let rated = match path {
+            "/echofix.v1.LocalizationService/Localize" => Some(Rated::Localize),
+            "/echofix.v1.MappingService/Upload" => Some(Rated::Upload),
+            _ => None,
+        };
+        rated.map_or(Ok(()), |what| self.rates.count(what, &caller)).map_err(too_often)?;
+        Ok(caller)
+    }
+}
+
+/// Who makes a call, and what counts how often.
+#[derive(Clone)]
+pub(super) struct Counted {
+    pub(super) caller: Arc<Caller>,
+    rates: Arc<Rates>,
+}
+
+impl Counted {
+    /// Counts one more for the caller: of a stream, whose messages come after it was let in.
+    pub(super) fn count(&self, what: Rated) -> Result<(), Status> {
+        self.rates.count(what, &self.caller).map_err(too_often)
+    }
+
+    /// Counts an upload for the contributor that the caller vouches for.
+    pub(super) fn count_for(&self, contributor: &str) -> Result<(), Status> {
+        if contributor == self.caller.name || !self.caller.is_known() {
+            return Ok(());
+        }
+        self.rates.count_for(Rated::Upload, contributor).map_err(too_often)
+    }
+}
+
+fn too_often(wait: Duration) -> Status {
+    status::overloaded("this caller asks too often", wait)
 }
 
 fn refused(refusal: &Refusal) -> Status {
@@ -81,9 +126,9 @@ fn refused(refusal: &Refusal) -> Status {
 ///
 /// # Errors
 /// When the call did not come through the door, which is a defect.
-pub(super) fn caller(extensions: &Extensions) -> Result<Arc<Caller>, Status> {
+pub(super) fn caller(extensions: &Extensions) -> Result<Counted, Status> {
     extensions
-        .get::<Arc<Caller>>()
+        .get::<Counted>()
         .cloned()
         .ok_or_else(|| status::failed("nobody asked who calls; this is a defect"))
 }

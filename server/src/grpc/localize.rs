@@ -28,6 +28,7 @@ use super::invalid_field::{InvalidField, require, required};
 use super::status;
 use super::{attended, decode, faults, now_us};
 use crate::feed::{Feed, FixEvent};
+use crate::identity::Rated;
 use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
 use crate::metrics::{Metrics, OutcomeLabel};
 use crate::patience::Patience;
@@ -84,18 +85,22 @@ impl LocalizationService for LocalizationApi {
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
         let (inner, deadline) = (Arc::clone(&self.inner), deadline(request.metadata()));
+        let caller = super::access::caller(request.extensions())?;
         // The answers are made after this call has returned, and belong to its span still.
         let call = Span::current();
         let answers = request.into_inner().then(move |asked| {
-            let (inner, call) = (Arc::clone(&inner), call.clone());
+            let (inner, call, caller) = (Arc::clone(&inner), call.clone(), caller.clone());
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked.map_err(faults::told)?;
                 if deadline.is_some_and(|at| at <= Instant::now()) {
                     return Err(status::gone());
                 }
                 let span = tracing::info_span!(parent: &call, "message", sequence);
-                let answer = inner.answer(request.unwrap_or_default(), deadline).instrument(span);
-                let outcome = match answer.await {
+                let answer = match caller.count(Rated::Localize) {
+                    Ok(()) => inner.answer(request.unwrap_or_default(), deadline).instrument(span).await,
+                    Err(status) => Err(status),
+                };
+                let outcome = match answer {
                     Ok(response) => Streamed::Response(response),
                     Err(status) => Streamed::Error(as_message(&status)),
                 };

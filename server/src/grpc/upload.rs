@@ -19,10 +19,10 @@ use tokio_stream::Stream;
 use tonic::Status;
 use uuid::Uuid;
 
+use super::access::Counted;
 use super::invalid_field::InvalidField;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
-use crate::identity::Caller;
 use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
 use crate::sparse;
@@ -62,7 +62,7 @@ impl MappingApi {
     pub(super) async fn receive(
         &self,
         requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
-        caller: &Caller,
+        caller: &Counted,
     ) -> Result<UploadResponse, Status> {
         let permit = self.permits.clone().try_acquire_owned();
         let permit = permit.map_err(|_| self.shed("too many uploads at once"))?;

@@ -10,6 +10,7 @@
 //! - [`config`]: the sections `[tls]` and `[identity]`.
 //! - [`peer`]: the other end of a connection.
 //! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
+//! - [`rates`]: how often a caller may ask.
 //! - [`reload`]: files that changed are read again, and connections that no longer pass are told to go.
 
 pub mod access;
@@ -18,6 +19,7 @@ mod certificate;
 mod config;
 mod gate;
 mod peer;
+mod rates;
 mod reload;
 mod role;
 mod sessions;
@@ -29,6 +31,7 @@ pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, check};
 pub use gate::{Gate, Refusal};
 pub use peer::{Closing, Entry, Peer};
+pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
 pub use role::{Role, Roles};
 pub use sessions::COOKIE;

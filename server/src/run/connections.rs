@@ -82,8 +82,15 @@ impl Acceptor {
                 let Some(Opened { stream, entry, closing }) = opened else { return };
                 let first_request = FirstRequest { came: Arc::default(), entry: Arc::new(entry) };
                 let frames = FrameCount::new(Instant::now());
-                let connection =
-                    Connection { stream, deadline, closing, first_request, frames, _permit: permit };
+                let connection = Connection {
+                    stream,
+                    deadline,
+                    closing,
+                    told_to_go: false,
+                    first_request,
+                    frames,
+                    _permit: permit,
+                };
                 // Nobody takes it once the port is closed.
                 let _ = sender.send(connection).await;
             });
@@ -121,6 +128,7 @@ pub(super) struct Connection {
     stream: Stream,
     deadline: Pin<Box<Sleep>>,
     closing: Closing,
+    told_to_go: bool,
     pub(super) first_request: FirstRequest,
     frames: FrameCount,
     _permit: OwnedSemaphorePermit,
@@ -155,7 +163,10 @@ impl AsyncRead for Connection {
             }
         }
         // Its certificate was revoked, or its token: whoever it is connects again, or not.
-        if Pin::new(&mut self.closing).poll(cx) == Poll::Ready(Ok(())) {
+        if !self.told_to_go {
+            self.told_to_go = Pin::new(&mut self.closing).poll(cx).is_ready();
+        }
+        if self.told_to_go {
             return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
         }
         let before = buf.filled().len();

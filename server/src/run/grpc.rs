@@ -80,7 +80,7 @@ pub(super) async fn serve(
         .layer(RequestSpanLayer::grpc())
         .layer(InterceptorLayer::new(note_request))
         .layer(FaultsLayer::new(metrics.clone()))
-        .layer(AccessLayer::new(shared.gate.clone()))
+        .layer(AccessLayer::new(shared.gate.clone(), shared.rates.clone()))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)

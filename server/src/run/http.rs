@@ -17,7 +17,7 @@ use crate::identity::Port;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate } = shared;
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, .. } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();

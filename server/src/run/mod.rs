@@ -29,7 +29,7 @@ use tokio::sync::watch;
 use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
-use crate::identity::{self, Gate};
+use crate::identity::{self, Gate, Rates};
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
@@ -89,6 +89,7 @@ struct ServiceContext {
     metrics: Arc<Metrics>,
     health: Arc<Health>,
     gate: Arc<Gate>,
+    rates: Arc<Rates>,
 }
 
 /// A service that has its ports and its store, and answers once it is run.
@@ -115,7 +116,7 @@ impl Server {
     /// # Errors
     /// When nobody can be let in as configured, a port is taken, or the store is damaged or in use.
     pub async fn bind(config: Config) -> Result<Self, Error> {
-        let gate = config.gate()?;
+        let (gate, rates) = (config.gate()?, Rates::of(&config.rates));
         let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
@@ -140,6 +141,7 @@ impl Server {
             metrics: Arc::default(),
             health: Arc::default(),
             gate: Arc::new(gate),
+            rates: Arc::new(rates),
         };
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
     }

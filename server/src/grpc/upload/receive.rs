@@ -13,10 +13,10 @@ use tonic::{Code, Status};
 use uuid::Uuid;
 
 use super::evidence::Evidence;
+use crate::grpc::access::Counted;
 use crate::grpc::decode::Told;
 use crate::grpc::invalid_field::{InvalidField, require, required};
 use crate::grpc::{decode, now_us, status};
-use crate::identity::Caller;
 use crate::mapping::MappingConfig;
 
 /// Scans of one upload, at most: some that hold no detections cost few bytes to send.
@@ -47,12 +47,13 @@ pub(super) async fn all(
     mut requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
     config: &MappingConfig,
     stall: Duration,
-    caller: &Caller,
+    counted: &Counted,
 ) -> Result<ReceivedUpload, Status> {
     let invalid = |violation| status::invalid(&violation);
     let Some(Part::Header(mut header)) = next(&mut requests, stall).await? else {
         return Err(invalid(InvalidField::new("header", "must be the first message")));
     };
+    let caller = &counted.caller;
     let contributor = caller.contributor(&header.contributor);
     let contributor =
         contributor.map_err(|error| status::denied(Code::PermissionDenied, "NOT_THE_CONTRIBUTOR", error))?;
@@ -60,6 +61,7 @@ pub(super) async fn all(
         header.contributor.clone_from(&contributor);
     }
     let mut receiving = UploadReceiver::of(&header, config).map_err(invalid)?;
+    counted.count_for(&contributor)?;
     header.contributor = contributor;
     while let Some(part) = next(&mut requests, stall).await? {
         receiving.take(part).map_err(invalid)?;
