@@ -10,12 +10,16 @@ mod offline;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use anyhow::Context;
+use clap::{CommandFactory, Parser, Subcommand};
 use echofix_harness::credentials::Credentials;
+
+/// The version, and the commit that it was built from.
+const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("ECHOFIX_BUILT_FROM"), ")");
 
 /// All-weather positioning with automotive radar.
 #[derive(Parser)]
-#[command(version, propagate_version = true, max_term_width = 100)]
+#[command(version = VERSION, propagate_version = true, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -56,13 +60,21 @@ enum Command {
     Token(commands::token::Args),
     /// Show whether a running service is ready, and what its map holds.
     Status(commands::status::Args),
+    /// Print what a shell needs to complete this command.
+    Completions(commands::shell::CompletionsArgs),
+    /// Print the manual page, or write those of all subcommands.
+    Man(commands::shell::ManArgs),
 }
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    let json = cli.json;
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            if json {
+                println!("{}", commands::error_json(&error));
+            }
             eprintln!("error: {error:#}");
             let missing =
                 error.downcast_ref().is_some_and(echofix_server::config::Error::is_missing_identity);
@@ -82,16 +94,36 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Calibrate(args) => commands::calibrate::run(&args, json),
         Command::Identity(args) => commands::identity::run(&args, json),
         Command::Token(args) => commands::token::run(&args, json),
+        Command::Completions(args) => commands::shell::completions(&args, Cli::command()),
+        Command::Man(args) => commands::shell::man(&args, Cli::command()),
         Command::Status(args) => commands::status::run(&args, &credentials, json),
-        Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
+        Command::Demo(args) => in_runtime(interruptible(commands::demo::run(args, json))),
         #[cfg(feature = "lab")]
-        Command::Bench(args) => in_runtime(echofix_lab::bench::command::run(args, json)),
+        Command::Bench(args) => in_runtime(interruptible(echofix_lab::bench::command::run(args, json))),
         Command::Map(args) => in_runtime(commands::map::run(args, &credentials, json)),
-        Command::Tiles(args) => in_runtime(commands::tiles::run(args, &credentials, json)),
-        Command::Localize(args) => in_runtime(commands::localize::run(args, &credentials, json)),
+        Command::Tiles(args) => in_runtime(interruptible(commands::tiles::run(args, &credentials, json))),
+        Command::Localize(args) => {
+            in_runtime(interruptible(commands::localize::run(args, &credentials, json)))
+        }
     }
 }
 
 fn in_runtime(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
-    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(work)
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let done = runtime.block_on(work);
+    // A simulation or an alignment that nobody waits for any more.
+    runtime.shutdown_background();
+    done
+}
+
+/// Work that ends when the user has had enough: what holds temporary folders and processes is dropped on the way out.
+async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    tokio::select! {
+        biased;
+        done = work => done,
+        interrupted = tokio::signal::ctrl_c() => {
+            interrupted.context("waiting for an interrupt")?;
+            anyhow::bail!("interrupted")
+        }
+    }
 }

@@ -9,6 +9,7 @@ use echofix_client::refusal::CallError;
 use echofix_client::tiles::{TileCache, TileCacheLimits};
 use echofix_client::vehicle::LocalizationQuestion;
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::point::MapPoint;
 use echofix_harness::replay::Answering;
 use echofix_proto::v1::LocalizeResponse;
 use echofix_server::args::ServeArgs;
@@ -101,6 +102,7 @@ impl MapStore for CachedMap {
 pub struct OfflineLocalizer(Arc<Inner>);
 
 struct Inner {
+    map: Arc<CachedMap>,
     locator: Arc<Locator>,
     api: LocalizationApi,
 }
@@ -121,9 +123,26 @@ impl OfflineLocalizer {
             folder.display()
         );
         let config = ServeArgs::default().config()?;
-        let locator = Arc::new(Locator::new(Arc::new(map), config.locating));
+        let map = Arc::new(map);
+        let locator = Arc::new(Locator::new(Arc::<CachedMap>::clone(&map), config.locating));
         let api = LocalizationApi::new(Arc::clone(&locator), Arc::default(), Arc::default());
-        Ok(Self(Arc::new(Inner { locator, api })))
+        Ok(Self(Arc::new(Inner { map, locator, api })))
+    }
+
+    /// Centres of the occupied cells within a square around a point, half of whose side is given.
+    ///
+    /// # Errors
+    /// When a tile cannot be read.
+    pub fn cells(&self, zone: Zone, centre: MapPoint, half_m: f64) -> anyhow::Result<Vec<MapPoint>> {
+        let mut cells = Vec::new();
+        for id in TileId::covering(zone, centre, half_m) {
+            let Some(stored) = self.0.map.tile(id)? else { continue };
+            cells.extend(stored.tile.cells().iter().map(|(index, _)| id.cell(*index).centre()));
+        }
+        cells.retain(|cell| {
+            (cell.x_m - centre.x_m).abs() <= half_m && (cell.y_m - centre.y_m).abs() <= half_m
+        });
+        Ok(cells)
     }
 }
 

@@ -26,7 +26,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let localizer = Localizer::new(ServiceAddress::at(url).endpoint()?, LocalizerOptions::default());
     let mut drives = Vec::new();
     for path in arguments {
-        drives.push(fused(&drivelog::read(path)?, &localizer).await?);
+        drives.push(fused(&drivelog::read(path)?.drive, &localizer).await?);
     }
     write!(std::io::stdout(), "{}", Comparison::pooled(drives).table())?;
     Ok(())

@@ -19,7 +19,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let (Some(url), Some(path)) = (arguments.next(), arguments.next()) else {
         return Err("usage: tiles http://host:port drive.mcap".into());
     };
-    let route: Vec<LatLon> = drivelog::read(path)?.reference.iter().map(|pose| pose.at).collect();
+    let route: Vec<LatLon> = drivelog::read(path)?.drive.reference.iter().map(|pose| pose.at).collect();
     let cache = TileCache::open(std::env::temp_dir().join("echofix-tiles"), TileCacheLimits::default())?;
 
     let want = Want::along(&route, 100.0)?;

@@ -23,7 +23,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let (Some(url), Some(path)) = (arguments.next(), arguments.next()) else {
         return Err("usage: vehicle http://host:port drive.mcap".into());
     };
-    let drive = drivelog::read(path)?;
+    let drive = drivelog::read(path)?.drive;
     let endpoint = ServiceAddress::at(url).endpoint()?;
 
     let localizer = Localizer::new(endpoint.clone(), LocalizerOptions::default());

@@ -109,6 +109,15 @@ impl Trajectory {
         Some(BodyVelocity::of_step(&self.pose[after - 1].between(&self.pose[after]), dt_s))
     }
 
+    /// [`Trajectory::velocity_at`]; `None`, too, where the poses around the time are farther apart than `gap_us`: between them
+    /// the body may have moved anyhow.
+    #[must_use]
+    pub fn velocity_within(&self, time_us: i64, gap_us: i64) -> Option<BodyVelocity> {
+        let after = self.time_us.partition_point(|t| *t <= time_us).clamp(1, self.len().max(2) - 1);
+        let gap = self.time_us.get(after)?.saturating_sub(*self.time_us.get(after - 1)?);
+        self.velocity_at(time_us).filter(|_| gap <= gap_us)
+    }
+
     /// Mean speed and yaw rate from one time to a later one, in the body frame half-way; `None` outside
     /// the trajectory.
     #[must_use]
@@ -212,6 +221,17 @@ mod tests {
         let v = circle().velocity_at(2_500_000).unwrap();
         assert!((v.forward_mps - 10.0).abs() < 1e-3, "{v:?}");
         assert!(v.left_mps.abs() < 1e-3 && (v.yaw_rate_radps - 0.2).abs() < 1e-6, "{v:?}");
+    }
+
+    /// Catches: a velocity that is taken across a hole in the odometry.
+    #[test]
+    fn across_a_hole_there_is_no_velocity() {
+        let poses = [0, 100_000, 5_000_000, 5_100_000].map(|t| (t, Pose2::new(t as f64 * 1e-5, 0.0, 0.0)));
+        let odometry = Trajectory::new(poses).unwrap();
+        let known = [0, 50_000, 3_000_000, 5_050_000, 5_100_000, 5_100_001]
+            .map(|time_us| odometry.velocity_within(time_us, 1_000_000).is_some());
+        assert_eq!(known, [true, true, false, true, true, false]);
+        assert_eq!(Trajectory::default().velocity_within(0, 1), None);
     }
 
     #[test]

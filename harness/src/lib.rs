@@ -6,6 +6,7 @@
 //! - [`town`]: drives in a simulated town.
 //! - [`recording`]: a drive becomes uploads, through the vehicle's own recorder; [`uploading`]: they go to the map,
 //!   through the vehicle's spool and uploader.
+//! - [`flaws`]: what of a drive cannot be used.
 //! - [`truth`]: known poses and the error of an answer; [`prior`]: rough poses drawn around them.
 //! - [`questions`]: what a drive asks; [`replay`]: asking it; [`fix_record`]: one question and its answer;
 //!   [`summary`]: the figures of many.
@@ -13,6 +14,7 @@
 
 pub mod credentials;
 pub mod fix_record;
+pub mod flaws;
 pub mod http;
 pub mod percentiles;
 pub mod prior;

@@ -12,6 +12,7 @@ use echofix_core::odometry::OdometryQuality;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::flaws::DriveFlaws;
 use crate::prior::PriorSigma;
 use crate::recording::LeftOut;
 use crate::truth::{Truth, as_prior};
@@ -66,6 +67,8 @@ pub struct DriveQuestions {
     pub left_out: LeftOut,
     /// What seems to be in another convention than the contract's.
     pub findings: Vec<Finding>,
+    /// Measurements that the vehicle did not take.
+    pub flaws: DriveFlaws,
     /// Where the vehicle truly was.
     pub truth: Truth,
 }
@@ -93,18 +96,24 @@ impl DriveQuestions {
         let mut vehicle = Vehicle::new(config, drive.mounts.clone());
         let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
         let mut questions: Vec<TruthQuestion> = Vec::new();
-        let mut not_asked = BTreeMap::new();
+        let (mut not_asked, mut flaws) = (BTreeMap::new(), DriveFlaws::default());
         let mut next_us = drive.scans.first().map_or(0, |s| s.time_us + (plan.warm_up_s * 1e6) as i64);
         for event in replay(drive) {
-            match event {
-                DriveEvent::Odometry(time_us, pose) => vehicle.push_odometry(time_us, pose)?,
-                DriveEvent::Scan(scan) => vehicle.push_scan(scan.clone())?,
-                DriveEvent::Reference(_) | DriveEvent::Truth(_) => {}
+            let (part, taken) = match event {
+                DriveEvent::Odometry(time_us, pose) => ("odometry", vehicle.push_odometry(time_us, pose)),
+                DriveEvent::Scan(scan) => ("scan", vehicle.push_scan(scan.clone())),
+                DriveEvent::Reference(_) | DriveEvent::Truth(_) => continue,
+            };
+            if let Err(error) = taken {
+                flaws.skip(part, event.time_us(), error.reason(), &error);
             }
             let DriveEvent::Odometry(now_us, _) = event else { continue };
             let Some(true_now) = truth.at(now_us).filter(|_| now_us >= next_us) else { continue };
             vehicle.forget_position();
-            vehicle.push_pose(true_now)?;
+            if let Err(error) = vehicle.push_pose(true_now) {
+                flaws.skip("pose", now_us, error.reason(), &error);
+                continue;
+            }
             match vehicle.question() {
                 Ok(question) => {
                     let time_us = question.time_us();
@@ -128,7 +137,7 @@ impl DriveQuestions {
             let told = in_words(&findings);
             bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}. {told}", drive.vehicle);
         }
-        Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), findings, truth })
+        Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), findings, flaws, truth })
     }
 
     /// Number of questions, at least one.

@@ -10,8 +10,10 @@ use echofix_core::drive::Drive;
 use echofix_core::gate::Dropped;
 use serde::Serialize;
 
+use crate::flaws::DriveFlaws;
+
 /// Detections that the vehicle left out, by the reason.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct LeftOut {
     /// Movers, by their radial speed.
     pub moving: u64,
@@ -57,12 +59,14 @@ pub struct RecordedDrive {
     pub left_out: LeftOut,
     /// What seems to be in another convention than the contract's.
     pub findings: Vec<Finding>,
+    /// Measurements that the recorder did not take.
+    pub flaws: DriveFlaws,
 }
 
 /// Records a drive as its vehicle would.
 ///
 /// # Errors
-/// When the drive has no reference poses, or its parts do not fit together.
+/// When the drive has no reference poses, or no name that the service takes.
 pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedDrive> {
     if drive.reference.is_empty() {
         bail!(
@@ -71,16 +75,22 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
         );
     }
     let mut recorder = Recorder::new(config, &drive.vehicle, drive.mounts.clone())?;
-    let mut uploads = Vec::new();
+    let (mut uploads, mut flaws) = (Vec::new(), DriveFlaws::default());
     for event in replay(drive) {
-        match event {
-            DriveEvent::Odometry(time_us, pose) => recorder.push_odometry(time_us, pose)?,
-            DriveEvent::Reference(pose) => uploads.extend(recorder.push_pose(*pose)?),
-            DriveEvent::Scan(scan) => recorder.push_scan(scan.clone())?,
-            DriveEvent::Truth(_) => {}
+        let time_us = event.time_us();
+        let (part, taken) = match event {
+            DriveEvent::Odometry(_, pose) => ("odometry", recorder.push_odometry(time_us, pose)),
+            DriveEvent::Reference(pose) => {
+                ("pose", recorder.push_pose(*pose).map(|upload| uploads.extend(upload)))
+            }
+            DriveEvent::Scan(scan) => ("scan", recorder.push_scan(scan.clone())),
+            DriveEvent::Truth(_) => continue,
+        };
+        if let Err(error) = taken {
+            flaws.skip(part, time_us, error.reason(), &error);
         }
     }
     let FinishedTrip { upload, dropped, findings } = recorder.finish();
     uploads.extend(upload);
-    Ok(RecordedDrive { uploads, left_out: dropped.into(), findings })
+    Ok(RecordedDrive { uploads, left_out: dropped.into(), findings, flaws })
 }

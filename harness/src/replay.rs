@@ -16,6 +16,7 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
 use crate::fix_record::FixRecord;
+use crate::flaws::DriveFlaws;
 use crate::questions::{DriveQuestions, QuestionPlan};
 use crate::recording::LeftOut;
 
@@ -45,6 +46,8 @@ pub struct ReplayedDrive {
     pub left_out: LeftOut,
     /// What seems to be in another convention than the contract's, in words.
     pub findings: Vec<String>,
+    /// Measurements that the vehicle did not take.
+    pub flaws: DriveFlaws,
 }
 
 /// A localizer that waits patiently: a replay asks faster than any vehicle.
@@ -96,11 +99,12 @@ pub async fn ask(
         fixes.insert(index, FixRecord::of(&asked, index, answer, round_trip_ms));
         bar.inc(1);
     }
-    let DriveQuestions { not_asked, left_out, findings, .. } = &*asked;
+    let DriveQuestions { not_asked, left_out, findings, flaws, .. } = &*asked;
     Ok(ReplayedDrive {
         fixes: fixes.into_values().collect(),
         not_asked: not_asked.clone(),
         left_out: *left_out,
         findings: findings.iter().map(ToString::to_string).collect(),
+        flaws: flaws.clone(),
     })
 }

@@ -8,6 +8,9 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::prior::PriorSigma;
 
+/// Known poses farther apart than this are not interpolated between, microseconds: where a vehicle was meanwhile is not known.
+const MAX_GAP_US: i64 = 2_500_000;
+
 /// Known poses, interpolated on the grid of the zone they begin in.
 pub struct Truth {
     grid: Grid,
@@ -37,8 +40,11 @@ impl Truth {
         Ok(Some(Self { poses: Trajectory::new(on_grid)?, grid, sigmas }))
     }
 
-    /// The pose at a time; `None` before the first and after the last one.
+    /// The pose at a time; `None` before the first and after the last one, and in a hole between them.
     pub fn at(&self, time_us: i64) -> Option<GeoPose> {
+        if self.poses.len() > 1 {
+            self.poses.velocity_within(time_us, MAX_GAP_US)?;
+        }
         let pose = self.poses.at(time_us)?;
         let (at, yaw_rad) = self.grid.pose_to_geodetic(&pose).ok()?;
         let (sigma_position_m, sigma_yaw_rad) = self.sigmas;

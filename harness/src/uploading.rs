@@ -1,91 +1,130 @@
 //! A drive goes to the map, through the vehicle's own recorder, spool and uploader.
 
+mod outcome;
+
+use std::collections::HashSet;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use echofix_client::upload::spool::{Spool, SpoolLimits};
-use echofix_client::upload::{RecorderConfig, Uploader, UploaderOptions};
+use echofix_client::upload::{PreparedUpload, RecorderConfig, UploadEvent, Uploader, UploaderOptions};
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
-use serde::Serialize;
+use tokio::sync::mpsc;
+use tokio::time::Instant;
 
-use crate::recording::{LeftOut, RecordedDrive, record};
+pub use outcome::{Interrupted, RepeatedError, Spooled, UploadedDrive};
 
-/// How long the service may take over the last uploads.
-const PATIENCE: Duration = Duration::from_mins(5);
+use crate::recording::{RecordedDrive, record};
 
-/// What came of a drive's uploads.
-#[derive(Debug, Clone, Default, Serialize)]
-pub struct UploadedDrive {
-    /// Uploads acknowledged.
-    pub uploads: u64,
-    /// Of those, uploads that the service already had.
-    pub duplicates: u64,
-    /// Uploads the service refused for good; they stay in the spool's `refused/`.
-    pub refused: u64,
-    /// Detections recorded.
-    pub detections: u64,
-    /// Bytes of the uploads on the wire.
-    pub bytes: u64,
-    /// Detections left out.
-    pub left_out: LeftOut,
-    /// What seems to be in another convention than the contract's, in words.
-    pub findings: Vec<String>,
-}
+/// How long the service may acknowledge nothing before it is given up.
+pub const PATIENCE: Duration = Duration::from_mins(1);
 
-/// Uploads a drive and waits until the service has it.
+/// Uploads a drive and waits until the service has it, or has acknowledged nothing for as long as `patience`. The bar counts
+/// acknowledgements. Interrupted by the user, it says how far it came.
 ///
 /// # Errors
-/// When the drive has no reference poses, or the service does not take the uploads in time.
+/// When the drive has no reference poses, nothing of it can be mapped, the service takes none of it, or not all in time. What it
+/// has not taken stays in the spool.
 pub async fn upload(
     drive: &Drive,
     server: &str,
     spool: &Path,
     config: RecorderConfig,
+    patience: Duration,
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, bar).await
+    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, patience, bar).await
 }
 
 /// The same as somebody whom the service knows.
 ///
 /// # Errors
-/// When the drive has no reference poses, or the service does not take the uploads in time.
+/// As [`upload`].
 pub async fn upload_to(
     drive: &Drive,
     service: ServiceEndpoint,
     spool: &Path,
     config: RecorderConfig,
+    patience: Duration,
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    let RecordedDrive { uploads, left_out, findings } = record(drive, config)?;
+    let RecordedDrive { uploads, left_out, findings, flaws } = record(drive, config)?;
     let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
-    let spool = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
-    let uploader = Uploader::start(service, spool, UploaderOptions::default());
-    let mut done = UploadedDrive { left_out, findings, ..UploadedDrive::default() };
+    let mut done = UploadedDrive { left_out, findings, flaws, ..UploadedDrive::default() };
+    if uploads.is_empty() {
+        bail!("nothing of the drive of `{}` can be mapped; {}", drive.vehicle, done.why_nothing());
+    }
+    let opened = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
+    done.spooled.found = opened.len() as u64;
+    let (tell, mut events) = mpsc::unbounded_channel();
+    // A receiver that has gone away has heard enough.
+    let observer = move |event| drop(tell.send(event));
+    let uploader = Uploader::start_observed(service, opened, UploaderOptions::default(), observer);
     bar.inc_length(uploads.len() as u64);
+    let own = submit(uploads, &uploader, &mut done).await?;
+    let ended = follow(&uploader, &mut events, &own, &mut done, patience, bar).await;
+    uploader.close().await;
+    done.judge(ended, &drive.vehicle, spool)?;
+    Ok(done)
+}
+
+/// Puts uploads into the spool; returns their ids.
+async fn submit(
+    uploads: Vec<PreparedUpload>,
+    uploader: &Uploader,
+    done: &mut UploadedDrive,
+) -> anyhow::Result<HashSet<String>> {
+    let mut own = HashSet::new();
     for upload in uploads {
+        done.recorded += 1;
         done.detections += upload.detections() as u64;
         done.bytes += upload.bytes() as u64;
+        own.insert(upload.id().to_string());
         uploader.submit(upload).await?;
-        bar.inc(1);
     }
-    uploader.flush(PATIENCE).await?;
-    let progress = uploader.progress();
-    uploader.close().await;
-    (done.uploads, done.duplicates, done.refused) = (progress.sent, progress.duplicates, progress.refused);
-    if done.uploads == 0 {
-        match progress.last_error {
-            Some(reason) => bail!("the service refused every upload of `{}`: {reason}", drive.vehicle),
-            None => bail!(
-                "nothing of the drive of `{}` can be mapped; left out: {}. {}",
-                drive.vehicle,
-                done.left_out,
-                done.findings.join("; ")
-            ),
+    Ok(own)
+}
+
+/// Why nothing more is waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    /// The spool is empty.
+    Sent,
+    /// The service acknowledged nothing for too long.
+    GivenUp,
+    /// The user has had enough.
+    Interrupted,
+}
+
+/// Counts what becomes of the uploads until all are settled.
+async fn follow(
+    uploader: &Uploader,
+    events: &mut mpsc::UnboundedReceiver<UploadEvent>,
+    own: &HashSet<String>,
+    done: &mut UploadedDrive,
+    patience: Duration,
+    bar: &ProgressBar,
+) -> Ended {
+    let mut heard = Instant::now();
+    loop {
+        while let Ok(event) = events.try_recv() {
+            heard = if matches!(event, UploadEvent::Delayed { .. }) { heard } else { Instant::now() };
+            done.count(event, own, bar);
+        }
+        if uploader.progress().waiting == 0 {
+            return Ended::Sent;
+        }
+        tokio::select! {
+            interrupted = tokio::signal::ctrl_c() => if interrupted.is_ok() { return Ended::Interrupted },
+            () = tokio::time::sleep_until(heard + patience) => return Ended::GivenUp,
+            event = events.recv() => {
+                let Some(event) = event else { return Ended::GivenUp };
+                heard = if matches!(event, UploadEvent::Delayed { .. }) { heard } else { Instant::now() };
+                done.count(event, own, bar);
+            }
         }
     }
-    Ok(done)
 }

@@ -117,6 +117,34 @@ fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
     let nowhere = echofix(["localize", &csv, "--offline", &folder.path("nowhere")]);
     assert!(nowhere.code == Some(1) && nowhere.stderr.contains("tiles sync"), "{nowhere:?}");
 
+    // One of them as a picture.
+    let page = folder.path("fix.html");
+    let inspected = echofix([
+        "localize",
+        &csv,
+        "--offline",
+        &tiles,
+        "--every-s",
+        "3",
+        "--inspect",
+        "2",
+        "--out",
+        &page,
+        "--json",
+    ]);
+    let drawn = fs::read_to_string(&page).unwrap_or_else(|error| panic!("{error}: {inspected:?}"));
+    let outcome = fixes[1]["outcome"].as_str().unwrap();
+    assert!(
+        drawn.contains(&format!("question 2: {outcome}")) && drawn.contains("class=\"map\""),
+        "{inspected:?}"
+    );
+    assert!(outcome != "USABLE" || drawn.contains("<ellipse"), "a usable fix has levels");
+    let batch = drawn.split("class=\"batch\"").nth(1).unwrap().split("/>").next().unwrap();
+    assert!(batch.matches('M').count() > 50, "the batch is drawn");
+    let unfit =
+        echofix(["localize", &csv, "--offline", &tiles, "--inspect", "2", "--out", &folder.path("fix.csv")]);
+    assert!(unfit.error().contains(".html"), "{unfit:?}");
+
     // Once more for people: no JSON, the same counts.
     let text = echofix(["localize", &csv, "--server", &service.grpc, "--every-s", "10"]);
     assert!(text.code == Some(0) && text.stdout.contains("questions: "), "{text:?}");
@@ -166,7 +194,7 @@ fn mcap_and_csv_hold_the_same_drive() {
     let (mcap, csv) = (folder.path("drive.mcap"), folder.path("drive"));
     simulated(&mcap, "1", "twin", "120");
     simulated(&csv, "1", "twin", "120");
-    let (one, other) = (drivelog::read(&mcap).unwrap(), drivelog::read(&csv).unwrap());
+    let (one, other) = (drivelog::read(&mcap).unwrap().drive, drivelog::read(&csv).unwrap().drive);
     assert!(one == other && one.scans.len() > 500);
 }
 

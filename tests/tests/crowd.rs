@@ -50,6 +50,14 @@ async fn visit(service: &Service, city: &City) -> Vec<String> {
     outcomes
 }
 
+/// Why a visitor of the street gets no answer, in words.
+async fn why_nowhere(service: &Service, city: &City) -> String {
+    let questions = asking::requests(&street(city, 20, "visitor"), 8.0, 5);
+    let case = questions.into_iter().next().expect("the visitor asks");
+    let mut client = grpc::localizing(service).await;
+    client.localize(case.request).await.expect_err("nothing is served").message().to_owned()
+}
+
 /// Catches: a count of uploads or of passes instead of contributors, and a limit that is one off.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_street_is_served_from_the_third_contributor_on() {
@@ -63,6 +71,10 @@ async fn a_street_is_served_from_the_third_contributor_on() {
         assert!(served.is_empty(), "day {day}: tiles tell where somebody drove: {:?}", served.keys());
         let outcomes = visit(&service, &city).await;
         assert!(outcomes.iter().all(|word| word == "NO_MAP"), "day {day}: {outcomes:?}");
+        // That is not "nobody was here".
+        let seen = if day == 0 { "seen by 1 contributor," } else { "seen by 2 contributors," };
+        let why = why_nowhere(&service, &city).await;
+        assert!(why.contains(seen) && why.contains("once 3 have"), "day {day}: {why}");
     }
     contribute(&service, &street(&city, 3, "carla")).await;
     assert!(cells(&tiles::all(&service).await).len() > 1_000);

@@ -51,6 +51,11 @@ fn an_operator_takes_back_brings_back_and_restores() {
     assert!(mapped["totals"]["cells"].as_u64().unwrap() > 1_000, "{mapped}");
     operate(&service, &["export", &region]);
 
+    // The map holds all of its own export.
+    let own = operate(&service, &["import", &region]);
+    assert_eq!(own["known"], own["tiles"], "{own}");
+    assert_eq!(shown(&service)["epoch"], mapped["epoch"]);
+
     let revoked = operate(&service, &["revoke", "--contributor", "mapper", "--yes"]);
     assert_eq!(shown(&service)["totals"]["cells"], 0, "all of it came from one contributor");
     let diff = operate(&service, &["diff", &mapped["epoch"].to_string(), &revoked["epoch"].to_string()]);

@@ -5,7 +5,6 @@ mod plot;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use echofix_client::drivelog;
 use echofix_core::calibration::{
     CalibrationConfig, CalibrationSigma, Estimated, RadarCalibration, SelfCalibration,
 };
@@ -54,7 +53,9 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
 }
 
 fn read(path: &Path) -> anyhow::Result<Drive> {
-    drivelog::read(path).with_context(|| format!("reading {}", path.display()))
+    let (drive, flaws) = super::drive_of(path, None)?;
+    super::tell(&flaws);
+    Ok(drive)
 }
 
 fn same_mounts(drives: &[Drive]) -> anyhow::Result<Vec<Mount>> {
@@ -182,6 +183,7 @@ fn print_table(mounts: &[Mount], radars: &[(usize, RadarCalibration)]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echofix_client::drivelog;
     use echofix_sim::{City, CityParams, DriveParams, Route, simulate};
 
     /// A simulated drive of some seconds whose first radar is turned by 2 degrees, all clocks 50 ms late.

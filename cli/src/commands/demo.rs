@@ -108,8 +108,8 @@ async fn map(
         let drive_of_one = driving.await.context("a simulated drive broke down")??;
         next = vehicles.next().map(drive);
         let spool = folder.join(format!("spool-{}", drive_of_one.vehicle));
-        let done =
-            uploading::upload(&drive_of_one, &service.grpc, &spool, recording::to_the_ends(), &bar).await?;
+        let (config, patience) = (recording::to_the_ends(), uploading::PATIENCE);
+        let done = uploading::upload(&drive_of_one, &service.grpc, &spool, config, patience, &bar).await?;
         mapped.kilometres += drive_of_one.odometry.travelled_m() / 1e3;
         mapped.detections += done.detections;
         mapped.bytes += done.bytes;
@@ -140,14 +140,14 @@ async fn localize(
     service: &ServiceProcess,
     json: bool,
 ) -> anyhow::Result<FixSummary> {
+    let out = args.out.as_ref().map(|out| localize::writer(out)).transpose()?;
     let drive = simulated(city, DAYS_LATER, "lost".to_owned(), args.seed * 1000 + 999).await??;
     let plan = QuestionPlan::every(args.every_s, args.seed);
     let bar = progress::bar("another vehicle localizes itself", 0, json);
     let replay = ask(&drive, &patient_localizer(&service.grpc)?, &plan, 2, &bar).await?;
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        localize::write(localize::writer(out)?, &replay.fixes)
-            .with_context(|| format!("writing {}", out.display()))?;
+    if let Some(out) = out {
+        localize::write(out, &replay.fixes).context("writing --out")?;
     }
     Ok(replay.summary())
 }

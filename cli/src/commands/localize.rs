@@ -1,10 +1,11 @@
 //! `echofix localize`: the service, or this machine from tiles of its own, localizes the batches of a drive log.
 
+mod inspect;
+
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use echofix_client::drivelog;
 use echofix_core::gate::MAX_RANGE_M;
 use echofix_core::odometry::OdometryQuality;
 use echofix_harness::credentials::Credentials;
@@ -75,6 +76,10 @@ pub struct Args {
     /// Write every fix to this CSV file.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Ask only this question, counted from 1, and draw it into --out (.html or .svg): the batch over the map at the answer, what
+    /// else could be meant, the protection ellipse and the verdict's reasons. Needs --offline.
+    #[arg(long, requires_all = ["offline", "out"], value_parser = within(1..=1_000_000_usize))]
+    inspect: Option<usize>,
     /// End with exit code 1 if a smaller fraction of the answers is usable, 0 to 1.
     #[arg(long, value_parser = within(0.0..=1.0))]
     fail_under: Option<f64>,
@@ -86,11 +91,7 @@ pub struct Args {
 /// When the log cannot be read, the truth is not known, the service is out of reach, no question is answered, or fewer answers
 /// than asked for are usable.
 pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
-    let mut drive =
-        drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
-    if let Some(scans) = &args.scans {
-        scans.apply(&mut drive);
-    }
+    let (drive, mut flaws) = super::drive_of(&args.drive, args.scans.as_ref())?;
     let plan = QuestionPlan {
         every_s: args.every_s,
         batch_s: args.batch_s,
@@ -105,6 +106,17 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
             yaw_rate_radps: args.odometry_sigma_degps.to_radians(),
         },
     };
+    if let (Some(number), Some(tiles), Some(out)) = (args.inspect, &args.offline, &args.out) {
+        inspect::check(out)?;
+        let told = inspect::run(&drive, tiles, &plan, number, out).await?;
+        if json {
+            println!("{}", serde_json::json!({ "out": out, "title": told, "flaws": flaws }));
+        } else {
+            super::tell(&flaws);
+            println!("{told}; see {}", out.display());
+        }
+        return Ok(());
+    }
     // What cannot be written is told before an hour of questions.
     let out = args.out.as_ref().map(|out| Ok::<_, anyhow::Error>((out, writer(out)?))).transpose()?;
     let bar = progress::bar("localizing", 0, json);
@@ -120,10 +132,12 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
         write(writer, &replay.fixes).with_context(|| format!("writing {}", out.display()))?;
     }
     let summary = replay.summary();
+    flaws.add(replay.flaws);
     if json {
+        let findings = replay.findings;
         println!(
             "{}",
-            serde_json::json!({ "summary": summary, "fixes": replay.fixes, "findings": replay.findings })
+            serde_json::json!({ "summary": summary, "fixes": replay.fixes, "findings": findings, "flaws": flaws })
         );
     } else {
         print_fixes(&replay.fixes);
@@ -131,6 +145,7 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
         for finding in &replay.findings {
             println!("suspicious: {finding}");
         }
+        flaws.lines().for_each(|line| println!("{line}"));
     }
     // Scripts read the exit code.
     let answered = replay.fixes.iter().any(|fix| fix.latitude_deg.is_some());

@@ -1,14 +1,14 @@
 //! `echofix map`: uploads drive logs to the map, and offers what operators do with the map.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use anyhow::Context;
-use echofix_client::drivelog;
 use echofix_client::upload::{RecorderConfig, UploadForm};
 use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_harness::credentials::Credentials;
 use echofix_harness::progress;
-use echofix_harness::uploading::{UploadedDrive, upload_to};
+use echofix_harness::uploading::{Interrupted, Spooled, UploadedDrive, upload_to};
+use tokio::sync::watch;
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
@@ -80,6 +80,9 @@ pub struct Args {
     /// where people live. This command leaves out nothing unless told to: the logs are the operator's own.
     #[arg(long, default_value_t = 0.0, value_parser = within(0.0..=100_000.0))]
     trim_ends_m: f64,
+    /// Give up when the service has acknowledged nothing for this long, seconds. What it has not acknowledged stays in the spool.
+    #[arg(long, default_value_t = 60.0, value_parser = within(0.1..=86_400.0))]
+    patience_s: f64,
 }
 
 /// Runs the subcommand.
@@ -102,13 +105,19 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
         trim_ends_m: args.trim_ends_m,
         ..RecorderConfig::default()
     };
+    let interrupted = noticed();
     let mut failed = 0;
     for path in &args.drives {
+        anyhow::ensure!(!*interrupted.borrow(), "interrupted before {}", path.display());
         match map_drive(path, &args, credentials, config, json).await {
             Ok(()) => {}
-            Err(error) if args.drives.len() == 1 => return Err(error),
+            Err(error) if args.drives.len() == 1 || error.is::<Interrupted>() => return Err(error),
             // What is good of the rest is sent all the same.
             Err(error) => {
+                if json {
+                    let error = &super::error_json(&error)["error"];
+                    println!("{}", serde_json::json!({ "drive": path, "error": error }));
+                }
                 eprintln!("{}: {error:#}", path.display());
                 failed += 1;
             }
@@ -118,6 +127,17 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
     Ok(())
 }
 
+/// Turns true when the user has had enough.
+fn noticed() -> watch::Receiver<bool> {
+    let (tell, noticed) = watch::channel(false);
+    tokio::spawn(async move {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            tell.send_replace(true);
+        }
+    });
+    noticed
+}
+
 async fn map_drive(
     path: &Path,
     args: &Args,
@@ -125,20 +145,19 @@ async fn map_drive(
     config: RecorderConfig,
     json: bool,
 ) -> anyhow::Result<()> {
-    let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    let (mut drive, mut flaws) = super::drive_of(path, args.scans.as_ref())?;
     if let Some(contributor) = &args.contributor {
         drive.vehicle.clone_from(contributor);
     }
-    if let Some(scans) = &args.scans {
-        scans.apply(&mut drive);
-    }
-    let bar = progress::bar("uploading", 0, json);
-    let done = upload_to(&drive, credentials.endpoint(&args.server)?, &args.spool, config, &bar).await?;
+    let bar = progress::bar("uploads acknowledged", 0, json);
+    let patience = Duration::from_secs_f64(args.patience_s);
+    let service = credentials.endpoint(&args.server)?;
+    let uploaded = upload_to(&drive, service, &args.spool, config, patience, &bar).await;
     bar.finish_and_clear();
-    report(&path.display().to_string(), &done, json)?;
-    let nothing = done.uploads + done.duplicates == 0 && done.refused > 0;
-    anyhow::ensure!(!nothing, "every upload of {} was refused", path.display());
-    Ok(())
+    let mut done = uploaded.inspect_err(|_| super::tell(&flaws))?;
+    flaws.add(std::mem::take(&mut done.flaws));
+    done.flaws = flaws;
+    report(&path.display().to_string(), &done, json)
 }
 
 fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
@@ -153,14 +172,69 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
         done.bytes / 1000
     );
     println!("  left out: {}", done.left_out);
+    done.flaws.lines().for_each(|line| println!("  {line}"));
     for finding in &done.findings {
         println!("  suspicious: {finding}");
     }
-    if done.duplicates + done.refused > 0 {
+    if done.duplicates > 0 {
         println!(
-            "  {} were known to the service already, {} were refused (see refused/ in the spool)",
-            done.duplicates, done.refused
+            "  {} of them the service had already: this drive was mapped before, and counts once",
+            done.duplicates
         );
     }
+    if done.days_behind_map > 0 {
+        println!(
+            "  the drive is {} days older than the newest evidence of the map: it counts for less, or no more",
+            done.days_behind_map
+        );
+    }
+    if done.refused > 0 {
+        println!("  {} were refused (see refused/ in the spool)", done.refused);
+    }
+    if done.spooled.found > 0 {
+        let Spooled { found, acknowledged, lost } = done.spooled;
+        println!(
+            "  of {found} uploads that lay in the spool, {acknowledged} were acknowledged and {lost} lost"
+        );
+    }
+    for error in done.errors.iter().filter(|error| error.count > 1) {
+        println!("  {} times: {}", error.count, error.message);
+    }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use echofix_harness::uploading::UploadedDrive;
+    use serde_json::Value;
+
+    /// Catches: a schema that describes another command than this one.
+    #[test]
+    fn the_schema_names_what_is_printed() {
+        let schema: Value = serde_json::from_str(include_str!("../../../docs/command.schema.json")).unwrap();
+        let described = |of: &Value| -> Vec<String> {
+            let mut names: Vec<_> = of["required"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|name| name.as_str().unwrap().to_owned())
+                .collect();
+            names.sort();
+            names
+        };
+        let printed =
+            |of: &Value| of.as_object().unwrap().keys().cloned().collect::<std::collections::BTreeSet<_>>();
+        let done = serde_json::to_value(UploadedDrive::default()).unwrap();
+        let result = &schema["$defs"]["map"]["properties"]["result"];
+        assert_eq!(printed(&done).into_iter().collect::<Vec<_>>(), described(result));
+        assert_eq!(printed(&done).into_iter().collect::<Vec<_>>(), {
+            let mut all: Vec<_> = printed(&result["properties"]).into_iter().collect();
+            all.sort();
+            all
+        });
+        for part in ["flaws", "left_out"] {
+            let names: Vec<_> = printed(&done[part]).into_iter().collect();
+            assert_eq!(names, described(&schema["$defs"][part]), "{part}");
+        }
+    }
 }

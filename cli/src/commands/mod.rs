@@ -10,15 +10,20 @@ pub mod map;
 mod map_operations;
 mod ranges;
 pub mod serve;
+pub mod shell;
 pub mod simulate;
 pub mod status;
 pub mod tiles;
 pub mod token;
 
 use std::ops::RangeInclusive;
+use std::path::Path;
 use std::str::FromStr;
 
+use anyhow::Context;
+use echofix_client::drivelog::{self, DriveLog};
 use echofix_core::drive::Drive;
+use echofix_harness::flaws::DriveFlaws;
 
 /// A range of a log's scans, counted from 1 in order of time: `10-18`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,6 +55,32 @@ impl ScanRange {
             number += 1;
             self.0.contains(&number)
         });
+    }
+}
+
+/// Reads a drive log, or some of its scans; with it comes what of the log cannot be used.
+///
+/// # Errors
+/// When nothing of it can be used.
+pub fn drive_of(path: &Path, scans: Option<&ScanRange>) -> anyhow::Result<(Drive, DriveFlaws)> {
+    let log = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    let DriveLog { mut drive, flaws } = log;
+    if let Some(scans) = scans {
+        scans.apply(&mut drive);
+    }
+    Ok((drive, DriveFlaws::from(&flaws)))
+}
+
+/// An error for machines: the words, and what they rest on, outermost first.
+pub fn error_json(error: &anyhow::Error) -> serde_json::Value {
+    let causes: Vec<_> = error.chain().skip(1).map(ToString::to_string).collect();
+    serde_json::json!({ "error": { "message": error.to_string(), "causes": causes } })
+}
+
+/// Tells what of a log cannot be used, on standard error.
+pub fn tell(flaws: &DriveFlaws) {
+    for line in flaws.lines() {
+        eprintln!("{line}");
     }
 }
 

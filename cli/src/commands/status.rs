@@ -2,6 +2,7 @@
 
 use echofix_harness::credentials::Credentials;
 use echofix_harness::http::get_json_as;
+use serde_json::Value;
 
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
@@ -31,8 +32,7 @@ pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result
     if json {
         println!("{}", serde_json::json!({ "readiness": ready, "map": map }));
     } else {
-        println!("{}", serde_json::to_string_pretty(&ready)?);
-        println!("{}", serde_json::to_string_pretty(&map)?);
+        print_status(&ready, &map);
     }
     // Scripts and health checks read the exit code.
     anyhow::ensure!(
@@ -41,4 +41,27 @@ pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result
         ready["reason"].as_str().unwrap_or("no reason given")
     );
     Ok(())
+}
+
+fn print_status(ready: &Value, map: &Value) {
+    let state = if ready["ready"] == true { "ready" } else { "not ready" };
+    println!(
+        "the service is {state}{}",
+        ready["reason"].as_str().map(|why| format!(": {why}")).unwrap_or_default()
+    );
+    let (totals, number) = (&map["totals"], |value: &Value| value.as_u64().unwrap_or(0));
+    for (word, key) in [("uploads", "uploads"), ("tiles with evidence", "tiles"), ("cells served", "cells")] {
+        println!("{word:<20} {:>12}", number(&totals[key]));
+    }
+    println!("{:<20} {:>12.1}", "kilobytes", number(&totals["bytes"]) as f64 / 1e3);
+    if let Some(date) = totals["newest_date"].as_str() {
+        println!("{:<20} {date:>12}", "newest evidence");
+    }
+    println!("{:<20} {:>12}", "epoch", number(&map["epoch"]));
+    if number(&totals["tiles"]) > 0 && number(&totals["cells"]) == 0 {
+        println!(
+            "nothing of it is served yet: every place was seen by fewer contributors than the service's \
+             mapping.publish_contributors asks for (`echofix serve --print-config` shows it)"
+        );
+    }
 }

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use echofix_core::drive::GeoPose;
+use echofix_core::geo::LatLon;
 
 use super::Problem;
 
@@ -41,6 +42,14 @@ pub enum Error {
         /// What is wrong and what was expected.
         problem: Problem,
     },
+    /// A part of a drive log cannot be used.
+    #[error("{}: {problem}", .path.display())]
+    Unusable {
+        /// The file of the drive log.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: Problem,
+    },
     /// A format that this build does not know.
     #[error(
         "{}: this program was built without the feature `{feature}` of echofix-client, which such drive logs need",
@@ -52,14 +61,13 @@ pub enum Error {
         /// The feature to build with.
         feature: &'static str,
     },
-    /// An MCAP file is damaged.
-    #[cfg(feature = "mcap")]
-    #[error("{}: the MCAP file is damaged ({source}); `mcap recover` may save what is before the damage", .path.display())]
+    /// Nothing of an MCAP file can be read.
+    #[error("{}: the MCAP file is damaged, and nothing of it can be used: {problem}", .path.display())]
     Damaged {
         /// The file of the drive log.
         path: PathBuf,
-        /// The error of the MCAP reader.
-        source: ::mcap::McapError,
+        /// What is wrong with it.
+        problem: String,
     },
     /// A message of an MCAP file cannot be used.
     #[error("{}: message {number} of {topic}: {problem}", .path.display())]
@@ -84,6 +92,22 @@ pub enum Error {
     /// A drive that the format cannot hold.
     #[error("the drive cannot be written: {0}")]
     Unwritable(String),
+}
+
+/// What is wrong with a pose, if anything is.
+pub(super) fn check_pose(pose: &GeoPose) -> Result<(), Problem> {
+    if !is_finite(pose) {
+        return Err(Problem::NotFinite);
+    }
+    let LatLon { lat_deg, lon_deg } = pose.at;
+    if lat_deg.abs() > 90.0 || lon_deg.abs() > 180.0 {
+        return Err(Problem::NotAPosition { lat_deg, lon_deg });
+    }
+    let sigmas = [("sigma_position_m", pose.sigma_position_m), ("sigma_yaw_rad", pose.sigma_yaw_rad)];
+    match sigmas.into_iter().find(|(_, value)| *value < 0.0) {
+        Some((column, value)) => Err(Problem::NegativeSigma { column, value }),
+        None => Ok(()),
+    }
 }
 
 pub(super) fn is_finite(pose: &GeoPose) -> bool {

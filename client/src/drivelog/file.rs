@@ -4,17 +4,27 @@ use std::path::Path;
 
 use echofix_core::drive::Drive;
 
+use super::Flaws;
 use super::error::{Error, io_error, is_finite};
 #[cfg(feature = "mcap")]
 use super::mcap::{read as read_file, write as write_file};
 #[cfg(feature = "csv")]
 use super::tables::{read as read_folder, write as write_folder};
 
-/// Reads a drive.
+/// A drive as it was read.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DriveLog {
+    /// The drive.
+    pub drive: Drive,
+    /// What its log holds besides, which cannot be used: tell it to whoever recorded it.
+    pub flaws: Flaws,
+}
+
+/// Reads a drive, all that is good of it.
 ///
 /// # Errors
-/// When there is none, or naming the row or message that cannot be used.
-pub fn read(path: impl AsRef<Path>) -> Result<Drive, Error> {
+/// When there is none, or nothing of it can be used: naming the first row or message that cannot.
+pub fn read(path: impl AsRef<Path>) -> Result<DriveLog, Error> {
     let path = path.as_ref();
     let metadata = std::fs::metadata(path).map_err(|source| io_error(path, source))?;
     if metadata.is_dir() { read_folder(path) } else { read_file(path) }
@@ -38,7 +48,7 @@ pub fn write(path: impl AsRef<Path>, drive: &Drive) -> Result<(), Error> {
 }
 
 #[cfg(not(feature = "mcap"))]
-fn read_file(path: &Path) -> Result<Drive, Error> {
+fn read_file(path: &Path) -> Result<DriveLog, Error> {
     Err(Error::FormatOff { path: path.to_owned(), feature: "mcap" })
 }
 
@@ -48,7 +58,7 @@ fn write_file(path: &Path, _: &Drive) -> Result<(), Error> {
 }
 
 #[cfg(not(feature = "csv"))]
-fn read_folder(path: &Path) -> Result<Drive, Error> {
+fn read_folder(path: &Path) -> Result<DriveLog, Error> {
     Err(Error::FormatOff { path: path.to_owned(), feature: "csv" })
 }
 
@@ -89,10 +99,12 @@ mod tests {
             for name in ["drive.mcap", "folder"] {
                 let path = dir.path().join(name);
                 write(&path, &drive).unwrap();
-                prop_assert_eq!(&read(&path).unwrap(), &drive, "{}", name);
+                let log = read(&path).unwrap();
+                prop_assert!(log.flaws.is_empty(), "{}", log.flaws);
+                prop_assert_eq!(&log.drive, &drive, "{}", name);
                 // Once more over what is there.
                 write(&path, &drive).unwrap();
-                prop_assert_eq!(&read(&path).unwrap(), &drive, "{}", name);
+                prop_assert_eq!(&read(&path).unwrap().drive, &drive, "{}", name);
             }
         }
     }

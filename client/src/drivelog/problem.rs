@@ -22,6 +22,16 @@ pub enum Problem {
         /// Fields of the header.
         expected: u64,
     },
+    /// A value of a row cannot be parsed.
+    #[error("column `{column}` is `{value}`: {problem}")]
+    Value {
+        /// The column.
+        column: String,
+        /// What stands there.
+        value: String,
+        /// Why that is no value.
+        problem: String,
+    },
     /// A row cannot be parsed.
     #[error("{0}")]
     Unparsable(String),
@@ -60,8 +70,52 @@ pub enum Problem {
     /// A value is NaN or infinite.
     #[error("a value is not a finite number; leave such rows out")]
     NotFinite,
+    /// An elevation beyond straight up or down.
+    #[error("elevation_rad is {elevation_rad}; elevations are radians, positive up, at most a right angle")]
+    NoElevation {
+        /// The elevation given.
+        elevation_rad: f32,
+    },
+    /// A standard deviation is negative.
+    #[error("{column} is {value}; a standard deviation is not negative")]
+    NegativeSigma {
+        /// The column.
+        column: &'static str,
+        /// The value given.
+        value: f64,
+    },
+    /// The same record is there already.
+    #[error("the same record stands before it, or another of the same time")]
+    Doubled,
+    /// A time that does not fit those around it.
+    #[error(
+        "its time {time_us} us does not fit the records around it, the last of which is of {before_us} us"
+    )]
+    OutOfOrder {
+        /// The time.
+        time_us: i64,
+        /// The time of the last record that fits.
+        before_us: i64,
+    },
+    /// The file ends, or is damaged so that nothing behind can be read.
+    #[error("the file is cut off or damaged here ({0}); what comes before was read")]
+    CutOff(String),
+    /// A part of a file fails its checksum or cannot be unpacked.
+    #[error("a chunk of {bytes} bytes is damaged ({problem}); the others were read")]
+    DamagedChunk {
+        /// Bytes of the chunk in the file.
+        bytes: u64,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A message that is too large to be what its topic says.
+    #[error("it takes {bytes} bytes, which no such message does")]
+    TooLarge {
+        /// Bytes of the message.
+        bytes: u64,
+    },
     /// Not a position on the globe.
-    #[error("{lat_deg}, {lon_deg} is not a position in degrees")]
+    #[error("latitude {lat_deg}, longitude {lon_deg} is not a position in degrees")]
     NotAPosition {
         /// Degrees north.
         lat_deg: f64,
@@ -80,4 +134,38 @@ pub enum Problem {
     /// An odometry pose cannot be used.
     #[error(transparent)]
     Odometry(#[from] odometry::Error),
+}
+
+impl Problem {
+    /// The kind of problem as one word, the same in every version: `unreadable`, `not_finite`, `out_of_range`, `incomplete`,
+    /// `doubled`, `out_of_order`, `unknown_sensor`, `cut_off` or `damaged`.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::MissingColumn { .. }
+            | Self::FieldCount { .. }
+            | Self::Value { .. }
+            | Self::Unparsable(_)
+            | Self::Undecodable(_)
+            | Self::SensorOrder { .. }
+            | Self::TooLarge { .. } => "unreadable",
+            Self::UnknownSensor { .. } => "unknown_sensor",
+            Self::HalfADetection
+            | Self::PartialColumn { .. }
+            | Self::Scan(scan::Error::ColumnLength { .. }) => "incomplete",
+            Self::NotFinite
+            | Self::Scan(scan::Error::NotFinite { .. })
+            | Self::Odometry(odometry::Error::NotFinite { .. }) => "not_finite",
+            Self::NegativeRange { .. }
+            | Self::NoElevation { .. }
+            | Self::NegativeSigma { .. }
+            | Self::NotAPosition { .. }
+            | Self::NotATime { .. }
+            | Self::Scan(_) => "out_of_range",
+            Self::Doubled => "doubled",
+            Self::OutOfOrder { .. } | Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::CutOff(_) => "cut_off",
+            Self::DamagedChunk { .. } => "damaged",
+        }
+    }
 }

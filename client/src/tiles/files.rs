@@ -39,6 +39,22 @@ pub(super) fn scan(dir: &Path) -> Result<CacheIndex, Error> {
     Ok(index)
 }
 
+/// Refuses a folder that holds other things than tiles, and no tiles: it was named by mistake.
+pub(super) fn refuse_foreign(dir: &Path) -> Result<(), Error> {
+    let names: Vec<String> = entries(dir)?
+        .iter()
+        .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
+        .collect();
+    let is_zone = |name: &String| name.parse().is_ok_and(|epsg| Zone::from_epsg(epsg).is_ok());
+    if names.iter().any(is_zone) {
+        return Ok(());
+    }
+    match names.into_iter().find(|name| !["lock", "lost+found"].contains(&&**name)) {
+        Some(entry) => Err(Error::Foreign { dir: dir.to_owned(), entry }),
+        None => Ok(()),
+    }
+}
+
 fn entries(dir: &Path) -> Result<Vec<PathBuf>, Error> {
     let entries = fs::read_dir(dir).map_err(io_error(dir))?;
     entries.map(|entry| entry.map(|entry| entry.path()).map_err(io_error(dir))).collect()

@@ -98,6 +98,14 @@ pub enum Error {
         /// The cache's folder.
         dir: PathBuf,
     },
+    /// A folder of something else.
+    #[error("{} holds `{entry}` and no tiles: it is no tile cache; give it an empty folder, or a new one", .dir.display())]
+    Foreign {
+        /// The folder.
+        dir: PathBuf,
+        /// Something in it that is not of a cache.
+        entry: String,
+    },
     /// The file system refuses.
     #[error("{}: {source}", .path.display())]
     Io {
@@ -129,10 +137,11 @@ impl TileCache {
     /// Opens a cache, or makes one; the tiles of earlier runs are in it.
     ///
     /// # Errors
-    /// When another process has it open or the file system refuses.
+    /// When another process has it open, it is a folder of something else, or the file system refuses.
     pub fn open(dir: impl Into<PathBuf>, limits: TileCacheLimits) -> Result<Self, Error> {
         let dir = dir.into();
         std::fs::create_dir_all(&dir).map_err(io_error(&dir))?;
+        files::refuse_foreign(&dir)?;
         let path = dir.join("lock");
         let lock = disk::lock(&path).map_err(io_error(&path))?;
         let lock = lock.ok_or_else(|| Error::InUse { dir: dir.clone() })?;

@@ -6,6 +6,7 @@ use echofix_core::evidence::{EvidenceDelta, codec};
 use echofix_core::gate::Dropped;
 use echofix_core::scan::{Mount, Scan};
 use echofix_core::tile::DecodeError;
+use echofix_core::time::DAY_US;
 use echofix_proto::v1;
 use echofix_proto::v1::upload_request::Part;
 use prost::Message;
@@ -22,6 +23,9 @@ const CHUNK_BYTES: usize = 16 << 10;
 const MAX_PARTS: usize = 16_384;
 /// Bytes of an upload's evidence, unpacked, at most: several times what the service takes.
 const MAX_EVIDENCE: usize = 64 << 20;
+
+/// The name space of ids that follow from contents.
+const CONTENT: Uuid = Uuid::from_u128(0x8d0c_27e4_5b1f_4a6e_9c37_60f2_a1d4_53be);
 
 /// Bytes that are not an upload.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -82,6 +86,28 @@ impl PreparedUpload {
         for piece in bytes.chunks(CHUNK_BYTES) {
             let chunk = v1::EvidenceChunk { contribution: piece.to_vec(), sigma_position_m, sigma_yaw_rad };
             self.parts.push(v1::UploadRequest { part: Some(Part::Evidence(chunk)) });
+        }
+    }
+
+    /// Gives it the id that follows from who contributes it and what it holds: the same part of the same drive is the same upload,
+    /// however often it is recorded, and counts once. `number` counts the parts of the drive.
+    ///
+    /// The id is a UUID of version 8: the day's beginning in milliseconds and the number, so that the order of ids stays the order
+    /// of the drive, then 62 bits of a hash. Nothing but the day can be read from it.
+    pub(crate) fn identify(&mut self, number: u64) {
+        let Some(header) = self.header() else { return };
+        let reference_time_us = header.reference_time_us;
+        let content = v1::UploadHeader { upload_id: String::new(), ..header.clone() };
+        let rest = self.parts[1..].iter().flat_map(Message::encode_length_delimited_to_vec);
+        let bytes: Vec<u8> = content.encode_length_delimited_to_vec().into_iter().chain(rest).collect();
+        let mut id = *Uuid::new_v5(&CONTENT, &bytes).as_bytes();
+        let day_ms = (reference_time_us - reference_time_us.rem_euclid(DAY_US)).max(0) / 1000;
+        id[..6].copy_from_slice(&day_ms.to_be_bytes()[2..]);
+        id[6..8].copy_from_slice(&(number.min(0xfff) as u16).to_be_bytes());
+        self.id = Uuid::new_v8(id);
+        let id = self.id.to_string();
+        if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
+            header.upload_id = id;
         }
     }
 
@@ -209,83 +235,4 @@ fn covering(poses: &[GeoPose], from_us: i64, to_us: i64) -> &[GeoPose] {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::{T0, decode};
-
-    fn poses() -> Vec<GeoPose> {
-        (0..101).map(|i| GeoPose { time_us: T0 + i * 100_000, ..GeoPose::default() }).collect()
-    }
-
-    fn scan(time_us: i64, detections: usize) -> Scan {
-        let azimuth_rad = (0..detections).map(|i| i as f32 * 1e-4).collect();
-        Scan { time_us, range_m: vec![5.0; detections], azimuth_rad, ..Scan::default() }
-    }
-
-    fn upload(scans: &[Scan]) -> PreparedUpload {
-        let mut upload = PreparedUpload::start("car", &[Mount::IDENTITY], T0);
-        upload.add(&poses(), scans);
-        upload
-    }
-
-    #[test]
-    fn chunks_are_small_cover_their_scans_and_lose_nothing() {
-        let scans: Vec<_> = (0..100).map(|i| scan(T0 + i * 100_000 + 50_000, 1000)).collect();
-        let upload = upload(&scans);
-        assert_eq!(upload.detections(), 100_000);
-        assert!(upload.chunks().count() >= 6);
-        let mut again = Vec::new();
-        for chunk in upload.chunks() {
-            assert!(chunk.encoded_len() < 64 << 10);
-            let poses = decode::poses(chunk.poses.as_ref().unwrap(), T0);
-            let scans = decode::scans(chunk.scans.as_ref().unwrap(), T0);
-            assert!(poses[0].time_us <= scans[0].time_us);
-            assert!(poses.last().unwrap().time_us >= scans.last().unwrap().time_us);
-            assert!(poses.len() <= scans.len() + 1, "poses that no scan needs");
-            again.extend(scans);
-        }
-        assert_eq!(again, scans);
-    }
-
-    #[test]
-    fn a_huge_scan_is_cut() {
-        let huge = scan(T0 + 1_050_000, 40_000);
-        let upload = upload(std::slice::from_ref(&huge));
-        assert_eq!((upload.chunks().count(), upload.detections()), (20, 40_000));
-        let azimuths: Vec<f32> =
-            upload.chunks().flat_map(|c| c.scans.as_ref().unwrap().azimuth_rad.clone()).collect();
-        assert_eq!(azimuths, huge.azimuth_rad);
-    }
-
-    #[test]
-    fn a_lone_scan_on_a_pose_still_has_two_poses() {
-        for time_us in [T0, T0 + 100_000, T0 + 10_000_000] {
-            let upload = upload(&[scan(time_us, 1)]);
-            let chunk = upload.chunks().next().unwrap();
-            assert_eq!(chunk.poses.as_ref().unwrap().yaw_rad.len(), 2, "{time_us}");
-        }
-    }
-
-    #[test]
-    fn bytes_come_back_as_the_same_upload() {
-        let upload = upload(&[scan(T0 + 10, 20)]);
-        let bytes = upload.encode();
-        assert_eq!(PreparedUpload::decode(&bytes), Ok(upload));
-        assert!(PreparedUpload::decode(&bytes[..bytes.len() - 1]).is_err());
-        assert!(PreparedUpload::decode(&[]).is_err());
-    }
-
-    /// Catches: a file of 16 MB of nothing, which would decode to gigabytes.
-    #[test]
-    fn messages_of_nothing_are_no_upload() {
-        let upload = upload(&[scan(T0 + 10, 20)]);
-        let refused = |more: &[u8], times: usize| {
-            let bytes = [upload.encode(), more.repeat(times)].concat();
-            PreparedUpload::decode(&bytes).unwrap_err().to_string()
-        };
-        assert_eq!(refused(&[0], 1 << 24), "not an upload: a message is empty");
-        let empty = v1::UploadRequest { part: Some(Part::Evidence(v1::EvidenceChunk::default())) };
-        let more = refused(&empty.encode_length_delimited_to_vec(), MAX_PARTS);
-        assert_eq!(more, "not an upload: it has more messages than any upload");
-    }
-}
+mod tests;

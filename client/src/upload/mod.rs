@@ -21,4 +21,4 @@ pub use config::{RecorderConfig, UploadForm};
 pub use contents::{DamagedUpload, PreparedUpload};
 pub use recorder::{Error, FinishedTrip, Recorder};
 pub use spool::Spool;
-pub use uploader::{FlushError, UploadProgress, Uploader, UploaderOptions};
+pub use uploader::{FlushError, UploadEvent, UploadProgress, Uploader, UploaderOptions};

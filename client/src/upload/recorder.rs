@@ -56,6 +56,24 @@ pub enum Error {
     OffTheMap(#[from] geo::Error),
 }
 
+impl Error {
+    /// The kind of error as one word, the same in every version.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Contributor(_) => "contributor",
+            Self::Scan(scan::Error::NotFinite { .. })
+            | Self::Odometry(odometry::Error::NotFinite { .. })
+            | Self::NotAPose { .. } => "not_finite",
+            Self::Scan(_) => "unreadable",
+            Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::UnknownSensor { .. } => "unknown_sensor",
+            Self::TooLate { .. } => "too_late",
+            Self::OffTheMap(_) => "off_the_map",
+        }
+    }
+}
+
 /// Turns one trip into uploads; no clock, no files.
 #[derive(Debug, Clone)]
 pub struct Recorder {
@@ -73,6 +91,8 @@ pub struct Recorder {
     /// Of what was left out, what the last upload told.
     told: Dropped,
     inspection: Inspection,
+    /// Parts that the trip was cut into so far.
+    parts: u64,
 }
 
 /// What is known at the end of a trip.
@@ -106,6 +126,7 @@ impl Recorder {
             dropped: Dropped::default(),
             told: Dropped::default(),
             inspection: Inspection::default(),
+            parts: 0,
         })
     }
 
@@ -246,10 +267,14 @@ impl Recorder {
             let scans = segment::gated(segment, &scans, mounts, &self.odometry, config, dropped, inspection);
             raw.chunks.push(Chunk { poses: segment.to_vec(), scans });
         }
+        let number = self.parts;
+        self.parts += 1;
         let mut upload = if self.is_misread() { self.withheld(&raw) } else { self.upload_of(raw, first_us) };
         self.forget_before(cut);
         self.scans.retain(|scan| scan.time_us > last_us || count_lost(&mut self.dropped, scan));
         if let Some(upload) = &mut upload {
+            // What is told of it is no part of what it is.
+            upload.identify(number);
             upload.tell(&self.dropped.since(&self.told), &self.inspection.findings());
         }
         self.told = self.dropped;

@@ -23,7 +23,9 @@ pub(super) fn gated(
     let way = on_the_grid(segment).unwrap_or_default();
     let velocity = |time_us: i64| -> Option<BodyVelocity> {
         way.at(time_us)?;
-        odometry.velocity_at(time_us).or_else(|| way.velocity_at(time_us))
+        // A hole in the odometry is a hole.
+        let gap_us = (config.max_pose_gap_s * 1e6) as i64;
+        odometry.velocity_within(time_us, gap_us).or_else(|| way.velocity_at(time_us))
     };
     let mut gated = scans.to_vec();
     for scan in &mut gated {

@@ -13,6 +13,7 @@ use tonic::Request;
 use uuid::Uuid;
 
 use super::spool::{self, Spool};
+use super::uploader::{Observer, UploadEvent};
 use super::{PreparedUpload, UploadProgress, UploaderOptions};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
@@ -29,6 +30,7 @@ pub(super) struct Sender {
     pub endpoint: ServiceEndpoint,
     pub options: UploaderOptions,
     pub progress: watch::Sender<UploadProgress>,
+    pub observer: Observer,
     /// Turns true when the uploader closes.
     pub stop: watch::Receiver<bool>,
 }
@@ -60,7 +62,8 @@ impl Sender {
             };
             let wait = backoff.next(retry_after);
             tracing::info!(%id, error, ?wait, "an upload waits to be sent again");
-            self.progress.send_modify(|p| p.last_error = Some(error));
+            self.progress.send_modify(|p| p.last_error = Some(error.clone()));
+            (self.observer)(UploadEvent::Delayed { id, error });
             if self.unless_stopped(tokio::time::sleep(wait)).await.is_none() {
                 return;
             }
@@ -91,6 +94,7 @@ impl Sender {
     ) -> Result<(), Trouble> {
         let Some(upload) = self.on_disk(move |spool| spool.read(id)).await.map_err(Trouble::Spool)? else {
             self.advance(|p| p.damaged += 1);
+            (self.observer)(UploadEvent::Damaged { id });
             return Ok(());
         };
         let patience = self.options.patience(upload.parts().iter().map(Message::encoded_len).sum());
@@ -103,16 +107,19 @@ impl Sender {
                     p.duplicates += u64::from(answer.duplicate);
                     p.last_error = None;
                 });
+                (self.observer)(UploadEvent::Acknowledged(answer));
                 Ok(())
             }
             Err(error) if error.is_transient() => Err(Trouble::Call(error)),
             Err(error) => {
                 let reason = error.to_string();
-                self.on_disk(move |spool| spool.refuse(id, &reason)).await.map_err(Trouble::Spool)?;
+                let told = reason.clone();
+                self.on_disk(move |spool| spool.refuse(id, &told)).await.map_err(Trouble::Spool)?;
                 self.advance(|p| {
                     p.refused += 1;
-                    p.last_error = Some(error.to_string());
+                    p.last_error = Some(reason.clone());
                 });
+                (self.observer)(UploadEvent::Refused { id, reason });
                 Ok(())
             }
         }

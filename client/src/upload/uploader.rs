@@ -3,8 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use echofix_proto::v1;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use uuid::Uuid;
 
 use super::PreparedUpload;
 use super::sender::{Sender, on_disk};
@@ -66,6 +68,35 @@ impl UploadProgress {
     }
 }
 
+/// What has become of one upload.
+#[derive(Debug, Clone, PartialEq)]
+pub enum UploadEvent {
+    /// The service has it.
+    Acknowledged(v1::UploadResponse),
+    /// The service will never take it; it lies in `refused/`.
+    Refused {
+        /// Its id.
+        id: Uuid,
+        /// Why not.
+        reason: String,
+    },
+    /// Its file was damaged; it lies in `damaged/`.
+    Damaged {
+        /// Its id.
+        id: Uuid,
+    },
+    /// It could not be sent, and is tried again.
+    Delayed {
+        /// Its id.
+        id: Uuid,
+        /// Why.
+        error: String,
+    },
+}
+
+/// Is told what becomes of uploads.
+pub(super) type Observer = Arc<dyn Fn(UploadEvent) + Send + Sync>;
+
 /// The deadline passed with uploads left.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -96,6 +127,18 @@ impl Uploader {
     /// Must be called within a tokio runtime.
     #[must_use]
     pub fn start(endpoint: impl Into<ServiceEndpoint>, spool: Spool, options: UploaderOptions) -> Self {
+        Self::start_observed(endpoint, spool, options, |_| ())
+    }
+
+    /// [`Uploader::start`], which tells `observer` what becomes of each upload. It is called from the background task, and must
+    /// not block.
+    #[must_use]
+    pub fn start_observed(
+        endpoint: impl Into<ServiceEndpoint>,
+        spool: Spool,
+        options: UploaderOptions,
+        observer: impl Fn(UploadEvent) + Send + Sync + 'static,
+    ) -> Self {
         let spool = Arc::new(spool);
         let (stop, stopped) = watch::channel(false);
         let mut seen = UploadProgress::default();
@@ -106,6 +149,7 @@ impl Uploader {
             endpoint: endpoint.into(),
             options,
             progress: progress.clone(),
+            observer: Arc::new(observer),
             stop: stopped,
         };
         let task = Some(tokio::spawn(sender.run()));

@@ -88,6 +88,23 @@ pub enum Error {
     },
 }
 
+impl Error {
+    /// The kind of error as one word, the same in every version.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Scan(scan::Error::NotFinite { .. })
+            | Self::Odometry(odometry::Error::NotFinite { .. })
+            | Self::NotAPose { .. } => "not_finite",
+            Self::Scan(_) => "unreadable",
+            Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::UnknownSensor { .. } => "unknown_sensor",
+            Self::AheadOfOdometry { .. } => "without_odometry",
+            Self::TooLate { .. } => "too_late",
+        }
+    }
+}
+
 /// Why there is nothing to ask yet.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotReady {

@@ -55,13 +55,13 @@ impl ScanWindow {
             return Err(Error::UnknownSensor { sensor, mounts: self.mounts.len() });
         }
         let span_us = micros(self.config.window_s);
-        let Some((newest_us, _)) = self.odometry.last() else {
-            return Err(Error::AheadOfOdometry { time_us });
-        };
-        if time_us > newest_us.saturating_add(span_us) {
+        let newest_us = self.odometry.last().map(|(newest_us, _)| newest_us);
+        if newest_us.is_none_or(|newest_us| time_us > newest_us.saturating_add(span_us)) {
+            self.refuse(scan);
             return Err(Error::AheadOfOdometry { time_us });
         }
         if time_us < self.oldest_us() {
+            self.refuse(scan);
             return Err(Error::TooLate { time_us, oldest_us: self.oldest_us() });
         }
         for slice in slices(&scan.into()) {
@@ -73,6 +73,15 @@ impl ScanWindow {
         }
         self.settle();
         Ok(())
+    }
+
+    /// Counts a scan that is taken from no known pose, so that the next request tells of it.
+    fn refuse(&mut self, scan: &Scan) {
+        let dropped = Dropped { without_pose: scan.len() as u64, ..Dropped::default() };
+        self.dropped.add(&dropped);
+        if let Some((newest_us, _)) = self.odometry.last() {
+            self.dropped_lately.push_back((newest_us, dropped));
+        }
     }
 
     pub(super) fn push_odometry(&mut self, time_us: i64, pose: Pose2) -> Result<(), Error> {

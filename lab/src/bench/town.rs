@@ -62,8 +62,8 @@ impl BenchTown {
             let drive = town::drive(&city, 0, &Route::survey(&city, seed), name, seed)?;
             let spool = folder.join(format!("spool-{vehicle}"));
             let bar = ProgressBar::hidden();
-            let done =
-                uploading::upload(&drive, &service.grpc, &spool, recording::to_the_ends(), &bar).await?;
+            let (config, patience) = (recording::to_the_ends(), uploading::PATIENCE);
+            let done = uploading::upload(&drive, &service.grpc, &spool, config, patience, &bar).await?;
             uploads.count += done.uploads;
             uploads.kb += done.bytes as f64 / 1e3;
         }

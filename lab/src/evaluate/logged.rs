@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use echofix_client::drivelog;
+use echofix_client::drivelog::{self, DriveLog};
 use echofix_core::drive::Drive;
 use echofix_core::geo::Grid;
 use echofix_core::odometry::Trajectory;
@@ -21,7 +21,6 @@ pub const LOG: &str = "log";
 /// # Errors
 /// When a log cannot be read or holds no known poses.
 pub fn drives(localized: &Path, mapping: &[PathBuf], known_odometry: bool) -> anyhow::Result<Drives> {
-    let read = |path: &Path| drivelog::read(path).with_context(|| format!("reading {}", path.display()));
     let mut drive = read(localized)?;
     if known_odometry {
         drive.odometry = of_known_poses(&drive)?;
@@ -32,6 +31,19 @@ pub fn drives(localized: &Path, mapping: &[PathBuf], known_odometry: bool) -> an
         mapping: mapping.iter().map(|path| read(path)).collect::<anyhow::Result<_>>()?,
         localized: drive,
     })
+}
+
+/// Reads a log, and tells what of it cannot be used.
+///
+/// # Errors
+/// When nothing of it can be used.
+pub fn read(path: &Path) -> anyhow::Result<Drive> {
+    let DriveLog { drive, flaws } =
+        drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    if !flaws.is_empty() {
+        eprintln!("{}: {flaws}", path.display());
+    }
+    Ok(drive)
 }
 
 /// The known poses as odometry: ground metres from the first pose.

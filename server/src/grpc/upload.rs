@@ -100,7 +100,10 @@ impl MappingApi {
         if let Some(finding) = told.refused(contributed.delta.detections) {
             return Err(BuildError::MostlyMoving(finding).into());
         }
-        let response = response(id, &contributed, &told.dropped);
+        let response = UploadResponse {
+            days_behind_map: self.days_behind(day),
+            ..response(id, &contributed, &told.dropped)
+        };
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.delta, response.encode_to_vec());
         let declared = Some(contributed.sigma);
@@ -111,6 +114,12 @@ impl MappingApi {
             }
             duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
         }
+    }
+
+    /// By how many days an upload is older than the map's newest evidence, where that is long; else 0.
+    fn days_behind(&self, day: u16) -> u32 {
+        let behind = u32::from(self.store.totals().newest_day.saturating_sub(day));
+        if behind >= LONG_BEHIND_DAYS { behind } else { 0 }
     }
 
     /// The oldest day still taken, 0 without a limit. An upload of an older one is refused.
@@ -203,6 +212,9 @@ fn repeated(receipt: Receipt) -> Result<UploadResponse, Error> {
     let first = UploadResponse::decode(&answer[..])?;
     Ok(UploadResponse { duplicate: true, epoch, ..first })
 }
+
+/// An upload that is older than the map's newest evidence by so many days is told so.
+const LONG_BEHIND_DAYS: u32 = 30;
 
 /// Why an upload was not counted.
 #[derive(Debug, thiserror::Error)]

@@ -23,7 +23,7 @@ use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation};
 
 use crate::patience::Patience;
-use crate::store::{self, MapStore};
+use crate::store::{self, MapStore, Withheld};
 use prepared_tiles::{PreparedTiles, PreparedWindow};
 use slots::{ComputeSlot, ComputeSlots};
 
@@ -109,7 +109,7 @@ pub enum LocateRefusal {
     /// Nothing is served around the prior.
     #[error(
         "the map holds nothing within {reach_m:.0} m of the prior at {lat_deg:.6}, {lon_deg:.6}; {}",
-        where_to_look(*.swapped)
+        where_to_look(*.swapped, *.withheld)
     )]
     NoMap {
         /// Half width of the window, metres.
@@ -120,6 +120,8 @@ pub enum LocateRefusal {
         lon_deg: f64,
         /// Whether there is a map where the two are exchanged.
         swapped: bool,
+        /// What was seen here and is not served yet.
+        withheld: Option<Withheld>,
     },
     /// The vehicle hardly moves.
     #[error(
@@ -294,6 +296,15 @@ impl Locator {
         bound("the heading (rad)", *sigma_yaw_rad, max_sigma_yaw_deg.to_radians())
     }
 
+    /// Why nothing is served around a prior.
+    fn no_map(&self, frame: MapSquare, at: LatLon, swapped: bool) -> LocateRefusal {
+        let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
+        let (x, y) = prepared_tiles::block(frame);
+        // What cannot be read now is no reason for another answer.
+        let withheld = self.store.withheld(frame.zone, x, y).ok().flatten();
+        LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg, swapped, withheld }
+    }
+
     /// Tiles, alignment, bounds; blocks.
     fn answer(
         &self,
@@ -306,7 +317,7 @@ impl Locator {
         let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
             let swapped = self.knows_exchanged(request);
-            return Err(no_map(frame, request.at, swapped));
+            return Err(self.no_map(frame, request.at, swapped));
         }
         if request.patience.is_over() {
             return Err(LocateRefusal::Gone);
@@ -422,11 +433,17 @@ fn advice(findings: &str) -> &str {
 }
 
 /// What to do about a prior beside the map.
-fn where_to_look(swapped: bool) -> &'static str {
-    if swapped {
-        Convention::LatLonSwapped.question()
-    } else {
-        "check the prior, or drive and upload here first"
+fn where_to_look(swapped: bool, withheld: Option<Withheld>) -> String {
+    match withheld {
+        Some(Withheld { contributors, needed }) if contributors < needed => {
+            let who = if contributors == 1 { "contributor" } else { "contributors" };
+            format!("it was seen by {contributors} {who}, and is served once {needed} have seen it")
+        }
+        Some(_) => "what was seen here has faded, or is not confirmed by enough contributors".to_owned(),
+        None if swapped => Convention::LatLonSwapped.question().to_owned(),
+        None => {
+            "nobody has uploaded anything here; check the prior, or drive and upload here first".to_owned()
+        }
     }
 }
 
@@ -451,11 +468,6 @@ fn too_few(batch: &Batch, least: usize) -> LocateRefusal {
         least,
         findings: in_words(&batch.findings),
     }
-}
-
-fn no_map(frame: MapSquare, at: LatLon, swapped: bool) -> LocateRefusal {
-    let reach_m = frame.side as f64 * geo::CELL_M / 2.0;
-    LocateRefusal::NoMap { reach_m, lat_deg: at.lat_deg, lon_deg: at.lon_deg, swapped }
 }
 
 /// The contract's word for the status that a fix will most likely get, without its prefix.

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use echofix_core::align::weights::TileWeights;
@@ -34,6 +35,16 @@ pub(super) struct PreparedWindow {
     pub cached: bool,
 }
 
+/// The tiles of a map window, as ranges east and north.
+pub(super) fn block(frame: MapSquare) -> (RangeInclusive<i32>, RangeInclusive<i32>) {
+    let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
+    for tile in frame.tiles() {
+        x = (x.0.min(tile.x), x.1.max(tile.x));
+        y = (y.0.min(tile.y), y.1.max(tile.y));
+    }
+    (x.0..=x.1, y.0..=y.1)
+}
+
 /// Prepared tiles by their versions.
 pub(super) struct PreparedTiles {
     tiles: Cache<PreparedKey, Arc<TileWeights>>,
@@ -53,12 +64,8 @@ impl PreparedTiles {
         let epoch = store.progress().borrow().epoch;
         // Before the tiles are read: one of a later day is noticed.
         let day = store.totals().newest_day;
-        let (mut x, mut y) = ((i32::MAX, i32::MIN), (i32::MAX, i32::MIN));
-        for tile in frame.tiles() {
-            x = (x.0.min(tile.x), x.1.max(tile.x));
-            y = (y.0.min(tile.y), y.1.max(tile.y));
-        }
-        let catalog = store.catalog(frame.zone, x.0 - 1..=x.1 + 1, y.0 - 1..=y.1 + 1)?;
+        let (x, y) = block(frame);
+        let catalog = store.catalog(frame.zone, x.start() - 1..=x.end() + 1, y.start() - 1..=y.end() + 1)?;
         let mut found = PreparedWindow { tiles: Vec::new(), epoch, day, cached: true };
         let mut reading = Reading { store, known: HashMap::new(), is_late: false };
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {

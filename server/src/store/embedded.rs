@@ -15,7 +15,7 @@ use uuid::Uuid;
 use crate::store::api::{
     Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview, Proposal,
     QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
-    Verified, io_error,
+    Verified, Withheld, io_error,
 };
 use crate::store::backend::Backend;
 use crate::store::local;
@@ -138,6 +138,9 @@ fn started(
     Ok(Arc::new(StoreContext::new(backend, settings, journal, index, progress, served)))
 }
 
+/// Tiles that are read, at most, to say why a place is not served.
+const WITHHELD_TILES: usize = 9;
+
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
         self.shared.backend.pseudonyms.hash(pseudonym)
@@ -183,6 +186,23 @@ impl MapStore for EmbeddedStore {
         // That a contributor drove there is private until enough did.
         found.retain(|info| info.cells > 0);
         Ok(found)
+    }
+
+    fn withheld(
+        &self,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        let generation = self.shared.readable()?;
+        let mut found = None;
+        for info in generation.catalog().block(zone, &x, &y).into_iter().take(WITHHELD_TILES) {
+            let Some((_, tile)) = generation.tiles.stored(info.id)? else { continue };
+            let most = tile.support().iter().copied().max().unwrap_or(0);
+            found = found.max(Some(most).filter(|_| !tile.is_empty()));
+        }
+        let needed = self.shared.settings.policy.publish_contributors;
+        Ok(found.map(|contributors| Withheld { contributors, needed }))
     }
 
     fn zones(&self) -> Vec<Zone> {

@@ -2,6 +2,7 @@
 
 mod messages;
 mod read;
+mod records;
 mod schema;
 mod write;
 

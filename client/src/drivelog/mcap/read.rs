@@ -2,146 +2,195 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
 use echofix_core::drive::{Drive, GeoPose};
+use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
-use echofix_core::scan::Mount;
-use mcap::McapError;
-use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use echofix_core::scan::{self, Mount, Scan};
+use mcap::records::Record;
 use prost::Message;
 
-use super::super::Problem;
-use super::super::error::{Error, io_error, is_finite};
+use super::super::error::{Error, check_pose, io_error};
+use super::super::order::in_order;
+use super::super::scans::ReadScans;
+use super::super::{DriveLog, Flaws, Problem};
 use super::messages::{self, log};
+use super::records::{self, Records};
 use super::topic;
 
-/// A record, packed or not, that is larger than this is damage and no measurement; room is made for what a record says it
-/// takes.
-const MAX_RECORD: usize = 16 << 20;
-
-pub(in super::super) fn read(path: &Path) -> Result<Drive, Error> {
-    let mut file = BufReader::new(File::open(path).map_err(|e| io_error(path, e))?);
-    let options =
-        LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut log = LogReader::new(path);
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|e| log.damaged(e))? {
-            LinearReadEvent::ReadRequest(need) => {
-                let read = file.read(reader.insert(need)).map_err(|e| io_error(path, e))?;
-                reader.notify_read(read);
-            }
-            LinearReadEvent::Record { opcode, data } => log.record(opcode, data)?,
-        }
-    }
-    log.finish()
+pub(in super::super) fn read(path: &Path) -> Result<DriveLog, Error> {
+    let file = File::open(path).map_err(|e| io_error(path, e))?;
+    let mut log = LogReader::default();
+    records::read(file, &mut log).map_err(|e| match e.kind() {
+        io::ErrorKind::InvalidData => Error::NotADriveLog { path: path.to_owned() },
+        _ => io_error(path, e),
+    })?;
+    log.finish(path)
 }
 
 /// What has been read so far.
+#[derive(Default)]
 struct LogReader {
-    path: PathBuf,
-    topics: HashMap<u16, String>,
-    counts: HashMap<u16, u64>,
+    schemas: HashMap<u16, String>,
+    channels: HashMap<u16, Channel>,
     metadata: Option<BTreeMap<String, String>>,
-    drive: Drive,
+    /// With the number of each message in its topic.
+    scans: Vec<(Scan, u64)>,
+    odometry: Vec<(i64, u64, Pose2)>,
+    reference: Vec<(i64, u64, GeoPose)>,
+    truth: Vec<(i64, u64, GeoPose)>,
+    flaws: Flaws,
+}
+
+struct Channel {
+    topic: String,
+    schema: u16,
+    messages: u64,
+}
+
+impl Records for LogReader {
+    fn record(&mut self, opcode: u8, data: &[u8]) -> Result<(), Problem> {
+        match mcap::parse_record(opcode, data).map_err(|e| Problem::Unparsable(e.to_string()))? {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let (topic, schema) = (channel.topic, channel.schema_id);
+                self.channels.entry(channel.id).or_insert(Channel { topic, schema, messages: 0 });
+            }
+            Record::Metadata(record) if record.name == topic::DRIVE => self.metadata = Some(record.metadata),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn wants(&self, channel: u16) -> bool {
+        let read = [topic::SCANS, topic::ODOMETRY, topic::REFERENCE, topic::TRUTH];
+        self.channels.get(&channel).is_some_and(|channel| read.contains(&&*channel.topic))
+    }
+
+    fn message(&mut self, channel: u16, data: Result<&[u8], u64>) {
+        let Some(channel) = self.channels.get_mut(&channel) else { return };
+        channel.messages += 1;
+        let (topic, number) = (channel.topic.clone(), channel.messages);
+        let taken = match data {
+            Ok(data) => self.take(&topic, number, data),
+            Err(bytes) => Err(Problem::TooLarge { bytes }),
+        };
+        if let Err(problem) = taken {
+            self.flaws.skip(&topic, number, &problem);
+        }
+    }
+
+    fn flaw(&mut self, at: u64, problem: &Problem) {
+        self.flaws.skip("byte", at, problem);
+    }
 }
 
 impl LogReader {
-    fn new(path: &Path) -> Self {
-        let (topics, counts) = (HashMap::new(), HashMap::new());
-        Self { path: path.to_owned(), topics, counts, metadata: None, drive: Drive::default() }
-    }
-
-    fn record(&mut self, opcode: u8, data: &[u8]) -> Result<(), Error> {
-        if ![op::CHANNEL, op::MESSAGE, op::METADATA].contains(&opcode) {
-            return Ok(());
-        }
-        match mcap::parse_record(opcode, data).map_err(|e| self.damaged(e))? {
-            Record::Channel(channel) => {
-                self.topics.insert(channel.id, channel.topic);
-            }
-            Record::Metadata(record) if record.name == topic::DRIVE => self.metadata = Some(record.metadata),
-            Record::Message { header, data } => {
-                let number = self.counts.entry(header.channel_id).or_default();
-                *number += 1;
-                let number = *number;
-                let topic = self.topics.get(&header.channel_id).cloned().unwrap_or_default();
-                let path = self.path.clone();
-                self.message(&topic, &data).map_err(|problem| Error::Message {
-                    path,
-                    topic,
-                    number,
-                    problem,
-                })?;
-            }
-            _ => {}
-        }
-        Ok(())
-    }
-
-    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), Problem> {
+    fn take(&mut self, topic: &str, number: u64, data: &[u8]) -> Result<(), Problem> {
         match topic {
             topic::SCANS => {
-                let scan = messages::scan_from(decode::<log::RadarScan>(data)?);
-                scan.validate()?;
-                self.drive.scans.push(scan);
+                let scan = messages::scan_from(log::RadarScan::decode(data)?);
+                // Single detections are looked at later.
+                if let Err(error @ scan::Error::ColumnLength { .. }) = scan.validate() {
+                    return Err(error.into());
+                }
+                self.scans.push((scan, number));
             }
             topic::ODOMETRY => {
-                let (time_us, pose) = messages::odometry_from(&decode::<log::OdometryPose>(data)?);
-                self.drive.odometry.push(time_us, pose)?;
+                let (time_us, pose) = messages::odometry_from(&log::OdometryPose::decode(data)?);
+                if !pose.is_finite() {
+                    return Err(Problem::NotFinite);
+                }
+                self.odometry.push((time_us, number, pose));
             }
-            topic::REFERENCE => self.drive.reference.push(geodetic(data)?),
-            topic::TRUTH => self.drive.truth.push(geodetic(data)?),
+            topic::REFERENCE => self.reference.push(geodetic(number, data)?),
+            topic::TRUTH => self.truth.push(geodetic(number, data)?),
             _ => {}
         }
         Ok(())
     }
 
-    fn finish(self) -> Result<Drive, Error> {
-        let not_a_drive = |problem: String| Error::NotADrive { path: self.path.clone(), problem };
-        let metadata = self.metadata.as_ref().ok_or_else(|| {
-            not_a_drive(format!("it has no metadata record `{}`; was it written by Echofix?", topic::DRIVE))
-        })?;
-        let mut drive = self.drive;
-        drive.vehicle = metadata.get("vehicle").cloned().unwrap_or_default();
-        while let Some(text) = metadata.get(&format!("sensor.{}", drive.mounts.len())) {
-            let mount = parse_mount(text).ok_or_else(|| {
-                let i = drive.mounts.len();
-                not_a_drive(format!(
-                    "`sensor.{i}` is `{text}`; expected x_m, y_m and yaw_rad with spaces between"
-                ))
-            })?;
-            drive.mounts.push(mount);
+    fn finish(mut self, path: &Path) -> Result<DriveLog, Error> {
+        let Some(metadata) = self.metadata.take() else { return Err(self.without_metadata(path)) };
+        let mounts =
+            mounts(&metadata).map_err(|problem| Error::NotADrive { path: path.to_owned(), problem })?;
+        let mut flaws = self.flaws;
+        let sensors = mounts.len();
+        self.scans.retain(|(scan, number)| {
+            let known = scan.sensor < sensors;
+            if !known {
+                let problem = Problem::UnknownSensor { sensor: scan.sensor, sensors };
+                flaws.skip(topic::SCANS, *number, &problem);
+            }
+            known
+        });
+        let mut odometry = Trajectory::default();
+        for (time_us, pose) in in_order(self.odometry, topic::ODOMETRY, &mut flaws) {
+            let unusable = |problem: Problem| Error::Unusable { path: path.to_owned(), problem };
+            odometry.push(time_us, pose).map_err(|e| unusable(e.into()))?;
         }
-        match drive.scans.iter().find(|scan| scan.sensor >= drive.mounts.len()) {
-            Some(scan) => Err(not_a_drive(format!(
-                "the scan at {} us names sensor {}, but the metadata has {} sensors",
-                scan.time_us,
-                scan.sensor,
-                drive.mounts.len()
-            ))),
-            None => Ok(drive),
+        let mut poses = |poses, topic| -> Vec<GeoPose> {
+            in_order(poses, topic, &mut flaws).into_iter().map(|(_, pose)| pose).collect()
+        };
+        let (reference, truth) = (poses(self.reference, topic::REFERENCE), poses(self.truth, topic::TRUTH));
+        let scans = ReadScans { part: topic::SCANS, scans: self.scans }.finish(&mut flaws);
+        if scans.is_empty() && odometry.is_empty() && flaws.total() > 0 {
+            return Err(Error::Damaged { path: path.to_owned(), problem: flaws.to_string() });
         }
+        let vehicle = metadata.get("vehicle").cloned().unwrap_or_default();
+        Ok(DriveLog { drive: Drive { vehicle, mounts, scans, odometry, reference, truth }, flaws })
     }
 
-    fn damaged(&self, source: McapError) -> Error {
-        match source {
-            McapError::BadMagic => Error::NotADriveLog { path: self.path.clone() },
-            source => Error::Damaged { path: self.path.clone(), source },
+    /// What to do with a log that is not ours.
+    fn without_metadata(&self, path: &Path) -> Error {
+        let path = path.to_owned();
+        if self.channels.is_empty() && self.flaws.total() > 0 {
+            return Error::Damaged { path, problem: self.flaws.to_string() };
+        }
+        let mut topics: Vec<_> = self
+            .channels
+            .values()
+            .map(|Channel { topic, schema, .. }| {
+                format!("{topic} ({})", self.schemas.get(schema).map_or("no schema", String::as_str))
+            })
+            .collect();
+        topics.sort();
+        let holds = if topics.is_empty() { "nothing".to_owned() } else { topics.join(", ") };
+        Error::NotADrive {
+            path,
+            problem: format!(
+                "it has no metadata record `{}`, which names the vehicle and where its radars sit. The log holds {holds}. \
+                 If it holds {}, {} and {} as Echofix writes them, add the record: `mcap add metadata FILE --name {} --key \
+                 vehicle=NAME --key \"sensor.0=X_M Y_M YAW_RAD\"`. Other messages must be converted: write a folder with \
+                 sensors.csv, scans.csv, odometry.csv and reference.csv, whose columns docs/drivelog.md describes",
+                topic::DRIVE,
+                topic::SCANS,
+                topic::ODOMETRY,
+                topic::REFERENCE,
+                topic::DRIVE
+            ),
         }
     }
 }
 
-fn decode<M: Message + Default>(data: &[u8]) -> Result<M, Problem> {
-    Ok(M::decode(data)?)
+fn geodetic(number: u64, data: &[u8]) -> Result<(i64, u64, GeoPose), Problem> {
+    let pose = messages::geodetic_from(&log::GeodeticPose::decode(data)?);
+    check_pose(&pose)?;
+    Ok((pose.time_us, number, pose))
 }
 
-fn geodetic(data: &[u8]) -> Result<GeoPose, Problem> {
-    let pose = messages::geodetic_from(&decode::<log::GeodeticPose>(data)?);
-    if is_finite(&pose) { Ok(pose) } else { Err(Problem::NotFinite) }
+fn mounts(metadata: &BTreeMap<String, String>) -> Result<Vec<Mount>, String> {
+    let texts = (0..).map_while(|i| metadata.get(&format!("sensor.{i}"))).enumerate();
+    let mount = |(i, text): (usize, &String)| {
+        parse_mount(text).ok_or_else(|| {
+            format!("`sensor.{i}` is `{text}`; expected x_m, y_m and yaw_rad with spaces between")
+        })
+    };
+    texts.map(mount).collect()
 }
 
 fn parse_mount(text: &str) -> Option<Mount> {
@@ -151,61 +200,4 @@ fn parse_mount(text: &str) -> Option<Mount> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::drivelog;
-    use crate::testing::T0;
-    use echofix_core::odometry::Trajectory;
-    use echofix_core::scan::Scan;
-
-    fn small() -> Drive {
-        let scan = |i: i64| Scan {
-            time_us: T0 + i * 50_000,
-            range_m: vec![i as f32; 200],
-            azimuth_rad: vec![0.5; 200],
-            ..Scan::default()
-        };
-        let odometry = Trajectory::new((0..20).map(|i| (T0 + i * 50_000, Pose2::IDENTITY))).unwrap();
-        let (vehicle, mounts) = ("v".to_owned(), vec![Mount::IDENTITY]);
-        Drive { vehicle, mounts, scans: (0..20).map(scan).collect(), odometry, ..Drive::default() }
-    }
-
-    #[test]
-    fn damage_is_told_and_never_a_panic() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("d.mcap");
-        drivelog::write(&path, &small()).unwrap();
-        let good = std::fs::read(&path).unwrap();
-        for cut in (0..good.len()).step_by(97) {
-            std::fs::write(&path, &good[..cut]).unwrap();
-            let error = drivelog::read(&path).unwrap_err();
-            assert!(error.to_string().contains("d.mcap"), "{error}");
-        }
-        for at in (0..good.len()).step_by(13) {
-            let mut bad = good.clone();
-            bad[at] ^= 0x20;
-            std::fs::write(&path, &bad).unwrap();
-            if let Ok(drive) = drivelog::read(&path) {
-                // A flip outside the chunks may go unseen; the measurements are checksummed.
-                assert_eq!(drive.scans.len(), 20);
-            }
-        }
-    }
-
-    #[test]
-    fn schemas_travel_with_the_log() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("d.mcap");
-        drivelog::write(&path, &small()).unwrap();
-        let bytes = std::fs::read(&path).unwrap();
-        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-        let mut names: Vec<_> = summary.schemas.values().map(|s| s.name.clone()).collect();
-        names.sort();
-        let log = |name: &str| format!("echofix.log.v1.{name}");
-        let expected =
-            [log("GeodeticPose"), log("OdometryPose"), log("RadarScan"), "foxglove.LocationFix".into()];
-        assert_eq!(names, expected);
-        assert!(summary.schemas.values().all(|s| s.encoding == "protobuf" && !s.data.is_empty()));
-        assert_eq!(summary.stats.unwrap().message_count, 40);
-    }
-}
+mod tests;

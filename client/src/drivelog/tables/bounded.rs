@@ -2,10 +2,10 @@
 
 use std::io::{self, Read};
 
-/// Bytes of a line, at most.
+/// Bytes of a line, at most. What a line has more is left out: it is damage, and what comes behind it may be good.
 const MAX_LINE: usize = 64 << 10;
 
-/// A reader that ends with an error where a line or all of it is too long.
+/// A reader that ends with an error where all of it is too long, and shortens lines that are.
 pub(super) struct BoundedText<R> {
     inner: R,
     /// Bytes that may still come.
@@ -18,23 +18,37 @@ impl<R: Read> BoundedText<R> {
     pub(super) fn new(inner: R, most: u64) -> Self {
         Self { inner, left: most, line: 0 }
     }
+
+    /// Moves together what is kept of some bytes; returns how many those are.
+    fn shorten(&mut self, bytes: &mut [u8]) -> usize {
+        let mut kept = 0;
+        for at in 0..bytes.len() {
+            let byte = bytes[at];
+            self.line = if byte == b'\n' { 0 } else { self.line.saturating_add(1) };
+            if self.line <= MAX_LINE {
+                bytes[kept] = byte;
+                kept += 1;
+            }
+        }
+        kept
+    }
 }
 
 impl<R: Read> Read for BoundedText<R> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        let read = self.inner.read(bytes)?;
-        let refused = |why: &str| io::Error::new(io::ErrorKind::InvalidData, why.to_owned());
-        let left = self.left.checked_sub(read as u64);
-        self.left = left.ok_or_else(|| refused("the file unpacks to far more than any drive log does"))?;
-        // A read is no longer than a line may be by much: the lines within it need no look.
-        self.line = match bytes[..read].iter().rposition(|byte| *byte == b'\n') {
-            Some(end) => read - end,
-            None => self.line + read,
-        };
-        if self.line > MAX_LINE {
-            return Err(refused("a line is longer than 65536 bytes"));
+        loop {
+            let read = self.inner.read(bytes)?;
+            let Some(left) = self.left.checked_sub(read as u64) else {
+                let why = "the file unpacks to far more than any drive log does";
+                return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+            };
+            self.left = left;
+            let kept = self.shorten(&mut bytes[..read]);
+            // Nothing kept is not the end, unless nothing was read.
+            if kept > 0 || read == 0 {
+                return Ok(kept);
+            }
         }
-        Ok(read)
     }
 }
 
@@ -42,15 +56,19 @@ impl<R: Read> Read for BoundedText<R> {
 mod tests {
     use super::*;
 
-    fn read(text: &[u8], most: u64) -> io::Result<usize> {
-        io::copy(&mut BoundedText::new(text, most), &mut io::sink()).map(|bytes| bytes as usize)
+    fn read(text: &[u8], most: u64) -> io::Result<Vec<u8>> {
+        let mut all = Vec::new();
+        BoundedText::new(text, most).read_to_end(&mut all)?;
+        Ok(all)
     }
 
     #[test]
-    fn endless_lines_and_texts_are_refused() {
+    fn endless_texts_are_refused_and_endless_lines_shortened() {
         let lines = "time_us,sensor\n".repeat(100_000);
-        assert_eq!(read(lines.as_bytes(), 1 << 30).unwrap(), lines.len());
+        assert_eq!(read(lines.as_bytes(), 1 << 30).unwrap(), lines.as_bytes());
         assert!(read(lines.as_bytes(), 1000).unwrap_err().to_string().contains("unpacks"));
-        assert!(read(&vec![b'0'; 1 << 20], 1 << 30).unwrap_err().to_string().contains("line"));
+        let torn = [&b"1,2\n"[..], &vec![0; 1 << 20], &b"\n3,4\n"[..]].concat();
+        let kept = read(&torn, 1 << 30).unwrap();
+        assert!(kept.len() < 70_000 && kept.ends_with(b"\n3,4\n"), "{}", kept.len());
     }
 }

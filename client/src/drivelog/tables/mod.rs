@@ -13,14 +13,19 @@
 //! | `reference.csv` | `time_us,latitude_deg,longitude_deg,yaw_rad,sigma_position_m,sigma_yaw_rad` | optional |
 //! | `truth.csv` | the same | optional |
 //!
-//! Successive rows of `scans.csv` with the same time and sensor are one scan.
+//! Times that are dates in seconds, milliseconds or nanoseconds are recognised by their size and told; a column `time_s`,
+//! `time_ms` or `time_ns` instead of `time_us` states them. A row that cannot be used is skipped and told.
+//!
+//! Rows of `scans.csv` with the same time and sensor are one scan.
 //! `radial_speed_mps` (positive away from the sensor), `rcs_dbsm`, `elevation_rad` (positive up) and
 //! `detection_time_offset_us` (from `time_us`, of a radar that takes its time for a scan) may be missing as columns, or
-//! empty in all rows of a scan; the last two are written where some scan has them. A row without range and azimuth is a scan that detected nothing.
+//! empty (or NaN) in all rows of a scan; the last two are written where some scan has them. A row without range and azimuth is a scan that detected nothing.
 
 mod bounded;
+mod cells;
 mod read;
 mod row;
+mod scans;
 mod table;
 mod write;
 

@@ -1,7 +1,6 @@
 //! The rows of each file. The columns' names are spelled out: they are the format, whatever the fields are called.
 
 use echofix_core::drive::GeoPose;
-use echofix_core::geo::LatLon;
 use echofix_core::pose::Pose2;
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +40,7 @@ pub(super) struct DetectionRow {
 }
 
 /// A detection with all that a radar may tell of it.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 pub(super) struct DetectionInSpaceRow {
     #[serde(rename = "time_us")]
     pub time_us: i64,
@@ -51,17 +50,17 @@ pub(super) struct DetectionInSpaceRow {
     pub range_m: Option<f32>,
     #[serde(rename = "azimuth_rad")]
     pub azimuth_rad: Option<f32>,
-    #[serde(rename = "radial_speed_mps", default)]
+    #[serde(rename = "radial_speed_mps")]
     pub radial_speed_mps: Option<f32>,
-    #[serde(rename = "rcs_dbsm", default)]
+    #[serde(rename = "rcs_dbsm")]
     pub rcs_dbsm: Option<f32>,
-    #[serde(rename = "elevation_rad", default)]
+    #[serde(rename = "elevation_rad")]
     pub elevation_rad: Option<f32>,
-    #[serde(rename = "detection_time_offset_us", default)]
+    #[serde(rename = "detection_time_offset_us")]
     pub detection_time_offset_us: Option<i32>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 pub(super) struct OdometryRow {
     #[serde(rename = "time_us")]
     pub time_us: i64,
@@ -77,13 +76,9 @@ impl OdometryRow {
     pub(super) fn new(time_us: i64, Pose2 { x_m, y_m, yaw_rad }: Pose2) -> Self {
         Self { time_us, x_m, y_m, yaw_rad }
     }
-
-    pub(super) fn pose(&self) -> Pose2 {
-        Pose2::new(self.x_m, self.y_m, self.yaw_rad)
-    }
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 pub(super) struct GeodeticRow {
     #[serde(rename = "time_us")]
     pub time_us: i64,
@@ -108,18 +103,6 @@ impl From<&GeoPose> for GeodeticRow {
             yaw_rad: pose.yaw_rad,
             sigma_position_m: pose.sigma_position_m,
             sigma_yaw_rad: pose.sigma_yaw_rad,
-        }
-    }
-}
-
-impl From<&GeodeticRow> for GeoPose {
-    fn from(row: &GeodeticRow) -> Self {
-        Self {
-            time_us: row.time_us,
-            at: LatLon { lat_deg: row.latitude_deg, lon_deg: row.longitude_deg },
-            yaw_rad: row.yaw_rad,
-            sigma_position_m: row.sigma_position_m,
-            sigma_yaw_rad: row.sigma_yaw_rad,
         }
     }
 }

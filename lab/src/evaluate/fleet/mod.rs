@@ -16,7 +16,6 @@ mod stanford;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use echofix_client::drivelog;
 use echofix_core::drive::Drive;
 use echofix_harness::progress;
 use echofix_harness::questions::QuestionPlan;
@@ -146,7 +145,7 @@ fn ask_all(plan: &FleetPlan) -> anyhow::Result<Vec<AskedDrive>> {
 }
 
 fn read(path: &Path) -> anyhow::Result<Drive> {
-    drivelog::read(path).with_context(|| format!("reading {}", path.display()))
+    super::logged::read(path)
 }
 
 /// The name of a log in tables: that of its file, unless another log has the same.

@@ -45,7 +45,7 @@ fn each_drive_is_asked_on_the_map_of_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let paths = [0, 3].map(|day| log(folder.path(), day, |_| ()));
     let tables = folder.path().join("day-5").display().to_string();
-    drivelog::write(&tables, &drivelog::read(&paths[1]).unwrap()).unwrap();
+    drivelog::write(&tables, &drivelog::read(&paths[1]).unwrap().drive).unwrap();
     let rows = folder.path().join("rows.csv");
     let words = format!("--drives {} {} --priors 2 --epochs {}", paths[0], tables, rows.display());
     let report = run(&plan(&words).unwrap()).unwrap();

@@ -15,6 +15,7 @@ use tonic::Status;
 
 use crate::grpc::status;
 use crate::locating::{LocateAnswer, LocateRefusal};
+use crate::store::Withheld;
 
 /// Name and version of the algorithm, as answers carry it.
 const ALGORITHM: &str = "weights-drift/2";
@@ -237,6 +238,12 @@ pub(super) fn refused(refusal: &LocateRefusal) -> Status {
         LocateRefusal::Store(error) => status::store(error),
         LocateRefusal::Ending => status::unavailable(refusal, Duration::from_secs(1)),
         LocateRefusal::Gone => status::gone(),
+        LocateRefusal::NoMap { withheld, .. } => {
+            let Withheld { contributors, needed } =
+                withheld.unwrap_or(Withheld { contributors: 0, needed: 0 });
+            let seen = [("contributors", contributors.to_string()), ("needed", needed.to_string())];
+            status::refused(reason(refusal), refusal, if withheld.is_some() { &seen } else { &[] })
+        }
         _ => status::refused(reason(refusal), refusal, &[]),
     }
 }

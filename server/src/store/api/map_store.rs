@@ -6,7 +6,7 @@ use echofix_core::geo::{TileId, Zone};
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::{Error, MapProgress, Receipt, StoredTile, TileInfo, Totals, UploadRecord};
+use super::{Error, MapProgress, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};
 
 /// The map and its journal. Every call may block on the disk: keep it off the async threads.
 pub trait MapStore: Send + Sync {
@@ -51,6 +51,19 @@ pub trait MapStore: Send + Sync {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error>;
+
+    /// What of a zone's block of tiles is not served yet; `None` where nothing was seen. For blocks without served tiles.
+    ///
+    /// # Errors
+    /// When the disk refuses, a tile is damaged, or the map is being rebuilt.
+    fn withheld(
+        &self,
+        _zone: Zone,
+        _x: RangeInclusive<i32>,
+        _y: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        Ok(None)
+    }
 
     /// The zones that hold any tile.
     fn zones(&self) -> Vec<Zone>;

@@ -19,4 +19,4 @@ pub use map_store::MapStore;
 pub use operations::Operations;
 pub use progress::{Building, MapProgress, MapStatus};
 pub use reports::{Imported, QuarantinedRecord, Region, Verified};
-pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord};
+pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};

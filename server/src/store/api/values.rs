@@ -79,6 +79,15 @@ pub struct TileInfo {
     pub bytes: u32,
 }
 
+/// Evidence that is not served, because too few contributors support it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Withheld {
+    /// The most contributors that support any of it.
+    pub contributors: u8,
+    /// Contributors that are needed.
+    pub needed: u8,
+}
+
 /// The whole map in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {

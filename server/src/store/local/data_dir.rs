@@ -51,6 +51,7 @@ impl DataDir {
         let creating = "creating the data directory";
         let mut builder = fs::DirBuilder::new();
         builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
+        refuse_foreign(root)?;
         let mut locks = Locks::of(root)?;
         let journal = root.join("journal");
         if !segments::any(&journal)? {
@@ -151,6 +152,26 @@ impl Pseudonyms for DataDir {
 
     fn damage(&self) -> Vec<String> {
         self.key.damage(&self.root)
+    }
+}
+
+/// Refuses a directory that holds other things than a store, and nothing of a store: it was named by mistake.
+fn refuse_foreign(root: &Path) -> Result<(), Error> {
+    let names = files::names(root)?;
+    let ours = ["journal", "manifest", "key", "key-copy", "writer", "ballast", SET_ASIDE];
+    let numbered = [TILES, SCRATCH, "base-"];
+    let is_ours = |name: &String| {
+        ours.contains(&name.as_str()) || numbered.iter().any(|prefix| name.starts_with(prefix))
+    };
+    if names.iter().any(is_ours) {
+        return Ok(());
+    }
+    match names.iter().find(|name| !["lock", "lost+found"].contains(&name.as_str())) {
+        Some(stranger) => Err(Error::Unusable(format!(
+            "{} holds `{stranger}` and nothing of a store: give the service an empty data directory, or a new one",
+            root.display()
+        ))),
+        None => Ok(()),
     }
 }
 

@@ -191,6 +191,13 @@ impl JournalIndex {
         state.excluded_by(&in_effect(&state.controls, up_to_control))
     }
 
+    /// Does a control after a number exclude anything, and is it in effect?
+    pub(in crate::store) fn excluded_after(&self, number: u64) -> bool {
+        let excludes = |action: Action| !matches!(action, Action::Compact(_) | Action::Undo(_));
+        let controls = in_effect(&self.lock().controls, u64::MAX);
+        controls.into_iter().any(|(at, action)| at > number && excludes(action))
+    }
+
     /// What all controls and one more, which is only thought of, exclude.
     pub(in crate::store) fn exclusion_with(&self, proposed: Control) -> Exclusion {
         let state = self.lock();

@@ -25,7 +25,32 @@ const GROUP: usize = 64;
 
 struct Header {
     file: Uuid,
+    /// Of the map that it was written from.
+    epoch: u64,
     tiles: u64,
+}
+
+/// Bytes of a file's id that tell whose it is.
+const WHOSE: std::ops::Range<usize> = 10..16;
+
+/// A new id, which tells this history of the map from others.
+fn own_file(shared: &StoreContext) -> Uuid {
+    let mut id = Uuid::now_v7().into_bytes();
+    id[WHOSE].copy_from_slice(&history(shared));
+    Uuid::from_bytes(id)
+}
+
+fn history(shared: &StoreContext) -> [u8; 6] {
+    let bytes = [&shared.journal_id.into_bytes()[..], &shared.lineage.to_le_bytes()].concat();
+    let [a, b, c, d, e, f, ..] = siphasher::sip::SipHasher24::new().hash(&bytes).to_le_bytes();
+    [a, b, c, d, e, f]
+}
+
+/// Does the map hold all that a file holds? It does where the file was written from this history, and nothing was excluded since.
+fn holds_all_of(shared: &StoreContext, header: &Header) -> bool {
+    header.file.into_bytes()[WHOSE] == history(shared)
+        && header.epoch <= shared.index.newest()
+        && !shared.index.excluded_after(header.epoch)
 }
 
 pub(in crate::store) fn export(
@@ -40,7 +65,7 @@ pub(in crate::store) fn export(
     let written = |outcome: io::Result<()>| outcome.map_err(io_error("writing a region"));
     let mut out = ChecksummedWriter::new(out);
     written(out.put(&MAGIC))?;
-    written(out.put(Uuid::now_v7().as_bytes()))?;
+    written(out.put(own_file(shared).as_bytes()))?;
     for degrees in region.bounds_deg {
         written(out.put(&degrees.to_le_bytes()))?;
     }
@@ -60,6 +85,10 @@ pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Re
     // All of it is checked before any of it counts.
     let header = read(&received, |_, _, _| Ok(()))?;
     let _deciding = shared.decide();
+    if holds_all_of(shared, &header) {
+        let Header { file, tiles, .. } = header;
+        return Ok(Imported { file, tiles, known: tiles, epoch: shared.index.newest() });
+    }
     let (mut group, mut known) = (Vec::with_capacity(GROUP), 0);
     let mut epoch = shared.index.newest();
     let mut write = |group: &mut Vec<_>| {
@@ -120,7 +149,7 @@ fn read(
     }
     let file = Uuid::from_bytes(input.array().map_err(failed)?);
     let _bounds: [u8; 32] = input.array().map_err(failed)?;
-    let _epoch = input.number().map_err(failed)?;
+    let epoch = input.number().map_err(failed)?;
     let tiles = input.number().map_err(failed)?;
     for _ in 0..tiles {
         let (id, _, encoded) = input.tile().map_err(failed)?;
@@ -129,5 +158,5 @@ fn read(
         each(file, id, encoded)?;
     }
     input.end().map_err(failed)?;
-    Ok(Header { file, tiles })
+    Ok(Header { file, epoch, tiles })
 }

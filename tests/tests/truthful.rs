@@ -1,0 +1,126 @@
+//! The command tells the truth: what was acknowledged, what failed, and what it will do.
+
+use std::fs;
+use std::io::Read;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use echofix_tests::command::echofix;
+use echofix_tests::service::Service;
+use echofix_tests::{binary, until_blocking};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Nobody listens at port 1.
+const NOBODY: &str = "http://127.0.0.1:1";
+
+fn path(folder: &TempDir, name: &str) -> String {
+    folder.path().join(name).to_str().expect("the path is Unicode").to_owned()
+}
+
+fn simulated(folder: &TempDir) -> String {
+    let log = path(folder, "drive.mcap");
+    echofix(["simulate", &log, "--wander-m", "200", "--seed", "11", "--json"]).json();
+    log
+}
+
+/// Catches: a log that is mapped twice and counts twice, and uploads of an earlier run that are counted as the drive's own.
+#[test]
+fn a_log_that_is_mapped_again_counts_once() {
+    let (folder, service) = (tempfile::tempdir().unwrap(), Service::start());
+    let (log, spool) = (simulated(&folder), path(&folder, "spool"));
+    // Without a service: everything stays in the spool, and the command fails soon.
+    let gone = echofix(["map", &log, "--server", NOBODY, "--spool", &spool, "--patience-s", "1", "--json"]);
+    assert_eq!(gone.code, Some(1), "{gone:?}");
+    let error: Value = serde_json::from_str(gone.stdout.lines().last().unwrap()).unwrap();
+    let message = error["error"]["message"].as_str().unwrap();
+    assert!(message.contains("0 of ") && message.contains("times: "), "{message}");
+    assert!(message.contains(&spool), "{message}");
+    let first_lines = gone.stderr.lines().filter(|line| line.contains("unreachable")).count();
+    assert!(gone.stderr.lines().count() <= 3, "each error once: {first_lines} {}", gone.stderr);
+
+    let map = || echofix(["map", &log, "--server", &service.grpc, "--spool", &spool, "--json"]).json();
+    let (first, again) = (map(), map());
+    let (first, again) = (&first["result"], &again["result"]);
+    // The same ids: what lay in the spool is the drive's own.
+    assert_eq!(first["uploads"], first["recorded"], "{first:#}");
+    assert_eq!((&first["duplicates"], &again["duplicates"]), (&0.into(), &first["uploads"]), "{again:#}");
+    assert_eq!(again["uploads"], first["uploads"]);
+    let status = echofix(["status", "--http", &service.http, "--json"]).json();
+    assert_eq!(status["map"]["totals"]["uploads"], first["uploads"]);
+    // A map of one contributor is served by the services of these tests; the table for people says what there is.
+    let table = echofix(["status", "--http", &service.http]).stdout;
+    assert!(table.contains("cells served") && !table.contains('{'), "{table}");
+}
+
+/// Catches: an interrupted command that does not say how far it came, or leaves something behind.
+#[test]
+fn an_interrupted_run_says_how_far_it_came() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, spool) = (simulated(&folder), path(&folder, "spool"));
+    let mut run = Command::new(binary::echofix())
+        .args(["map", &log, "--server", NOBODY, "--spool", &spool, "--patience-s", "600"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The first error is told at once; by then the command waits.
+    let mut told = [0; 1];
+    run.stderr.as_mut().unwrap().read_exact(&mut told).unwrap();
+    assert!(Command::new("kill").args(["-INT", &run.id().to_string()]).status().unwrap().success());
+    let status = until_blocking("the command ends", Duration::from_secs(60), || run.try_wait().unwrap());
+    let mut rest = String::new();
+    run.stderr.as_mut().unwrap().read_to_string(&mut rest).unwrap();
+    assert_eq!(status.code(), Some(1), "{rest}");
+    assert!(rest.contains("interrupted: 0 of ") && rest.contains("sent by the next run"), "{rest}");
+}
+
+/// Catches: a folder of something else that is taken for tiles or for a store, and filled.
+#[test]
+fn folders_of_something_else_are_refused() {
+    let (folder, service) = (tempfile::tempdir().unwrap(), Service::start());
+    let home = path(&folder, "home");
+    fs::create_dir(&home).unwrap();
+    fs::write(folder.path().join("home/letters.txt"), "dear").unwrap();
+    let sync = echofix(["tiles", "sync", &home, "--server", &service.grpc]);
+    assert!(sync.error().contains("letters.txt"), "{sync:?}");
+    let listen = ["--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0"];
+    let serve = echofix(["serve", "--data-dir", &home].iter().chain(&listen));
+    assert!(serve.code == Some(1) && serve.stderr.contains("letters.txt"), "{serve:?}");
+    let left: Vec<_> = fs::read_dir(&home).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, ["letters.txt"]);
+}
+
+/// Catches: a shell, a manual or a bug report that knows nothing of the command.
+#[test]
+fn completions_manual_and_version_are_there() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = echofix(["completions", shell]);
+        assert!(script.code == Some(0) && script.stdout.contains("localize"), "{shell}");
+    }
+    let page = echofix(["man"]);
+    assert!(
+        page.code == Some(0) && page.stdout.starts_with(".ie") && page.stdout.contains("echofix"),
+        "{page:?}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let pages = path(&folder, "man1");
+    assert_eq!(echofix(["man", &pages]).code, Some(0));
+    assert!(folder.path().join("man1/echofix-map.1").exists());
+    let version = echofix(["--version"]).stdout;
+    assert!(
+        version.starts_with("echofix ") && version.contains('(') && version.trim().ends_with(')'),
+        "{version}"
+    );
+}
+
+/// Catches: errors in words only where a machine listens.
+#[test]
+fn errors_are_json_where_it_is_asked_for() {
+    let run = echofix(["localize", "/nowhere/at.all", "--json"]);
+    let error: Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(run.code, Some(1));
+    assert!(error["error"]["message"].as_str().unwrap().contains("/nowhere/at.all"), "{error}");
+    assert!(error["error"]["causes"][0].as_str().unwrap().contains("No such file"), "{error}");
+}
