@@ -59,23 +59,11 @@ async function loadMap() {
   }
 }
 
-/** The last fixes; none for who may not see where somebody is. */
-const fixesIfShown = () =>
-  ask(`/api/v1/fixes?limit=${KEPT}`).catch((error) => {
-    if (error.status !== 403) throw error;
-    return { fixes: [] };
-  });
-
 async function loadFeeds() {
-<<<<<<< HEAD
   // Fixes tell where somebody is: not all who may look at the map are told of them.
   const untold = (error) => (error.status === 403 ? { fixes: [] } : Promise.reject(error));
   const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`).catch(untold), ask('/api/v1/uploads?limit=50')]);
   Object.assign(state, { fixes, uploads: uploads.map(marked) });
-=======
-  const [{ fixes }, { uploads }] = await Promise.all([fixesIfShown(), ask('/api/v1/uploads?limit=50')]);
-  Object.assign(state, { fixes, uploads });
->>>>>>> door
   redraw();
 }
 
