@@ -178,6 +178,6 @@ mod tests {
         assert!(matches!(with("http://host:1"), Err(Error::Tls(_))));
         let mut bearer = with("https://host:1").unwrap().bearer;
         let request = bearer.call(Request::new(())).unwrap();
-        assert_eq!(request.metadata()["authorization"], "Bearer secret-7");
+        assert_eq!(request.metadata().get("authorization").unwrap(), "Bearer secret-7");
     }
 }

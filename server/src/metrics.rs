@@ -138,7 +138,9 @@ impl Metrics {
 /// OpenMetrics text in the format of before it: a counter is described under the name of its sample, and there are neither
 /// units nor an end.
 fn classic(text: &str) -> String {
-    let described = |line: &str, what: &str| line.strip_prefix(what).and_then(|rest| rest.split_once(' '));
+    fn described<'a>(line: &'a str, what: &str) -> Option<(&'a str, &'a str)> {
+        line.strip_prefix(what)?.split_once(' ')
+    }
     let kinds: HashMap<&str, &str> =
         text.lines().filter_map(|line| described(line, "# TYPE ").map(|(name, kind)| (name, kind))).collect();
     let named = |name: &str| match kinds.get(name) {

@@ -22,7 +22,7 @@ pub struct Args {
 pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     let ready = get_json_as(credentials, &args.http, "/readyz")?;
     let map = if args.ready {
-        serde_json::Value::Null
+        Value::Null
     } else {
         get_json_as(credentials, &args.http, "/api/v1/map")?
     };

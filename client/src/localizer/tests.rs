@@ -8,6 +8,7 @@ use crate::vehicle::{Vehicle, VehicleConfig};
 use echofix_core::drive::GeoPose;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
+use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 

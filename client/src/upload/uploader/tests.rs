@@ -6,6 +6,7 @@ use crate::testing::upload;
 use crate::upload::spool::SpoolLimits;
 use std::collections::HashSet;
 use tempfile::TempDir;
+use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 use uuid::Uuid;
