@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
 use crate::locating::NotAssessed;
+use crate::pace::TooSlow;
 use crate::sparse;
 use crate::store;
 
@@ -47,6 +48,12 @@ pub enum Error {
     /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
     Saturated(&'static str),
+    /// The body of a request comes too slowly.
+    #[error(transparent)]
+    TooSlow(#[from] TooSlow),
+    /// What is received cannot be kept.
+    #[error("the file cannot be kept while it is received: {0}")]
+    Spool(std::io::Error),
     /// No answer in time.
     #[error("no answer within {seconds} s")]
     TimedOut {
@@ -73,7 +80,8 @@ impl Error {
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
             Self::WrongOrigin => StatusCode::FORBIDDEN,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
-            Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
             Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -94,6 +102,8 @@ impl Error {
             Self::WrongOrigin => "wrong_origin",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
+            Self::TooSlow(_) => "too_slow",
+            Self::Spool(_) => "no_room",
             Self::TimedOut { .. } | Self::Gone => "timed_out",
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => "rebuilding",

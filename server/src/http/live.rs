@@ -18,6 +18,7 @@ use tokio_stream::{Stream, StreamExt};
 
 use super::error::Error;
 use super::{App, catalog, probes};
+use crate::shares::Peer;
 
 const MAX_LIMIT: usize = 500;
 
@@ -56,8 +57,8 @@ fn fresh(body: serde_json::Value) -> Response {
 }
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains
-pub async fn events(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Error> {
-    let permit = app.limiter.listen()?;
+pub async fn events(State(app): State<Arc<App>>, peer: Peer) -> Result<impl IntoResponse, Error> {
+    let permit = app.limiter.listen(peer)?;
     let feed = &app.state.feed;
     let map =
         WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));

@@ -16,6 +16,7 @@ use super::day::iso_date;
 use super::error::Error;
 use super::quarantine::hash_word;
 use super::raster::corners;
+use crate::shares::Peer;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, TileDiff};
 use crate::trace::in_current_span;
 
@@ -33,13 +34,14 @@ pub struct HistoryQuery {
 /// `GET /api/v1/map/history?limit=`, newest first
 pub async fn history(
     State(app): State<Arc<App>>,
+    peer: Peer,
     limit: Result<Query<HistoryQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let limit = limit?.0.limit.unwrap_or(100);
     if !(1..=MAX_EVENTS).contains(&limit) {
         return Err(Error::BadRequest(format!("limit must lie within 1 and {MAX_EVENTS}")));
     }
-    let found = work(&app, move |operations| Ok((operations.history(limit), operations.epochs())));
+    let found = work(&app, peer, move |operations| Ok((operations.history(limit), operations.epochs())));
     let (events, (oldest, newest)) = found.await?;
     let events: Vec<_> = events.iter().map(event).collect();
     Ok(fresh(json!({ "events": events, "oldest": oldest, "newest": newest })))
@@ -86,10 +88,11 @@ pub struct DiffQuery {
 /// `GET /api/v1/map/diff?from=&to=`
 pub async fn diff(
     State(app): State<Arc<App>>,
+    peer: Peer,
     span: Result<Query<DiffQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let Query(DiffQuery { from, to }) = span?;
-    let diffs = work(&app, move |operations| Ok(operations.diff(from, to)?)).await?;
+    let diffs = work(&app, peer, move |operations| Ok(operations.diff(from, to)?)).await?;
     let mut body = diffs_json(&diffs);
     (body["from"], body["to"]) = (from.into(), to.into());
     Ok(fresh(body))
@@ -131,13 +134,14 @@ pub struct VerifyQuery {
 pub async fn verify(
     method: Method,
     State(app): State<Arc<App>>,
+    peer: Peer,
     replay: Result<Query<VerifyQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let Query(VerifyQuery { replay }) = replay?;
     if replay && method != Method::POST {
         return Err(Error::PostOnly("a replay"));
     }
-    let found = work(&app, move |operations| Ok(operations.verify(replay)?)).await?;
+    let found = work(&app, peer, move |operations| Ok(operations.verify(replay)?)).await?;
     Ok(fresh(json!({
         "sound": found.damage.is_empty(),
         "records": found.records,
@@ -151,10 +155,26 @@ pub async fn verify(
 /// Runs blocking work under a permit of its own kind: it may take long, and pictures must not wait for it.
 pub async fn work<T: Send + 'static>(
     app: &App,
+    peer: Peer,
+    work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    held(app, app.limiter.operate(peer)?, work).await
+}
+
+/// The same for what changes the map.
+pub async fn decision<T: Send + 'static>(
+    app: &App,
+    decide: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    held(app, app.limiter.decide()?, decide).await
+}
+
+async fn held<T: Send + 'static>(
+    app: &App,
+    permit: impl Send + 'static,
     work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
     let operations = Arc::clone(&app.state.operations);
-    let permit = app.limiter.operate()?;
     tokio::task::spawn_blocking(in_current_span(move || {
         // Held by the work, not by the request.
         let _held = permit;

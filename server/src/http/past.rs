@@ -12,6 +12,7 @@ use super::App;
 use super::error::Error;
 use super::operations::work;
 use super::raster::Artist;
+use crate::shares::Peer;
 use crate::store::MapStore;
 
 /// Maps of the past in memory at once: the two that somebody compares.
@@ -57,7 +58,7 @@ impl App {
     ///
     /// # Errors
     /// When there is no such epoch, or its map cannot be folded for the moment.
-    pub(super) async fn shown(self: &Arc<Self>, epoch: EpochParameter) -> Result<Shown, Error> {
+    pub(super) async fn shown(self: &Arc<Self>, peer: Peer, epoch: EpochParameter) -> Result<Shown, Error> {
         let Some(epoch) = epoch?.0.epoch else {
             return Ok(Shown { store: Arc::clone(&self.state.store), artist: Arc::clone(&self.artist) });
         };
@@ -71,7 +72,7 @@ impl App {
             return Ok(shown);
         }
         let (app, expectations) = (Arc::clone(self), Arc::clone(&self.state.expectations));
-        work(self, move |operations| {
+        work(self, peer, move |operations| {
             // Requests for the same epoch wait for one that folds it.
             let made = app.past.0.try_get_with(epoch, || -> Result<Shown, Error> {
                 let store = operations.served_at(epoch)?;

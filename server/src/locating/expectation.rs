@@ -99,10 +99,10 @@ impl Expectations {
         // From any of its spots, no more than the tile and its neighbours is needed.
         let most_m = TILE_M + 0.5 * SPOT_M - REACH_M;
         Self {
-            store,
+            store: Arc::clone(&store),
             search: Search { extent_m: search.extent_m.min(most_m), ..search },
             integrity,
-            tiles: PreparedTiles::new(TILE_CACHE_MIB),
+            tiles: PreparedTiles::new(store, TILE_CACHE_MIB),
             known: Cache::new(CACHED_TILES),
             assessor: Mutex::default(),
         }
@@ -136,7 +136,7 @@ impl Expectations {
             return Ok(Some(known));
         }
         let frame = square(id);
-        let found = self.tiles.get(&*self.store, frame)?;
+        let found = self.tiles.get(frame)?;
         let origin = id.origin();
         let mut spots = Vec::with_capacity(SPOTS);
         for i in 0..SPOTS {

@@ -6,7 +6,7 @@ mod expectation;
 mod prepared_tiles;
 mod slots;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use config::LocatingConfig;
@@ -25,6 +25,7 @@ pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation
 use crate::patience::Patience;
 use crate::store::{self, MapStore};
 use prepared_tiles::{PreparedTiles, PreparedWindow};
+pub use slots::Arriving;
 use slots::{ComputeSlot, ComputeSlots};
 
 /// A batch, what the vehicle believes, and what it needs.
@@ -200,24 +201,32 @@ pub struct Admitted {
 
 /// Answers requests from the map, on a bounded number of threads.
 pub struct Locator {
-    store: Arc<dyn MapStore>,
     config: LocatingConfig,
     tiles: PreparedTiles,
     slots: ComputeSlots,
+    checker: Mutex<Aligner>,
 }
 
 impl Locator {
     /// A locator over a map.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
-        let tiles = PreparedTiles::new(config.tile_cache_mib);
+        let tiles = PreparedTiles::new(store, config.tile_cache_mib);
         let slots = ComputeSlots::new(config.threads(), config.queue);
-        Self { store, config, tiles, slots }
+        Self { config, tiles, slots, checker: Mutex::default() }
     }
 
     /// How it locates: the `[locating]` section.
     pub fn config(&self) -> &LocatingConfig {
         &self.config
+    }
+
+    /// A place for a request of which only the headers are here.
+    ///
+    /// # Errors
+    /// When all are taken: then its body need not be received.
+    pub fn expect(&self) -> Result<Arriving, LocateRefusal> {
+        self.slots.expect()
     }
 
     /// Waits for a compute slot, in order of arrival. Take it before a request is decoded: that
@@ -257,14 +266,15 @@ impl Locator {
         &self,
         request: &LocateRequest,
         answer: &LocateAnswer,
-        admitted: &mut Admitted,
     ) -> Result<bool, LocateRefusal> {
+        // Beside the slots: who waits for one must not wait for a check. One at a time, whose buffers remain.
+        let mut checker = self.checker.lock().unwrap_or_else(PoisonError::into_inner);
         let placed = self.placed_prior(request)?;
-        let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
+        let found = self.tiles.get(placed.frame).map_err(LocateRefusal::Store)?;
         let task =
             Task { square: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let again = admitted.slot.aligner().align(&task, EngineKind::Fft.engine(), &search, &integrity);
+        let again = checker.align(&task, EngineKind::Fft.engine(), &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 
@@ -303,7 +313,7 @@ impl Locator {
     ) -> Result<LocateAnswer, LocateRefusal> {
         let PlacedPrior { grid, prior, frame } = self.placed_prior(request)?;
         let fetching = Instant::now();
-        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
+        let found = self.tiles.get(frame).map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
             let swapped = self.knows_exchanged(request);
             return Err(no_map(frame, request.at, swapped));
@@ -349,7 +359,7 @@ impl Locator {
     fn knows_exchanged(&self, request: &LocateRequest) -> bool {
         let at = LatLon { lat_deg: request.at.lon_deg, lon_deg: request.at.lat_deg };
         let Ok(placed) = self.placed_prior(&LocateRequest { at, ..request.clone() }) else { return false };
-        self.tiles.get(&*self.store, placed.frame).is_ok_and(|found| !found.tiles.is_empty())
+        self.tiles.get(placed.frame).is_ok_and(|found| !found.tiles.is_empty())
     }
 
     /// The prior on its grid, and the square around it.
@@ -394,7 +404,7 @@ impl Locator {
             ..*prior
         };
         let frame = self.frame(grid, &wide);
-        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
+        let found = self.tiles.get(frame).map_err(LocateRefusal::Store)?;
         let task = Task { square: frame, tiles: &found.tiles, batch: &request.batch, prior: &wide };
         let mut elsewhere = aligner.align(&task, EngineKind::Fast.engine(), &search, &integrity);
         if elsewhere.verdict == Verdict::Usable {

@@ -1,23 +1,27 @@
 //! Which connections are let in, and for how long they may say nothing.
 
 mod frames;
+mod registry;
 
 use std::io;
 use std::pin::Pin;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::futures::OwnedNotified;
+use tokio::sync::mpsc;
 use tokio::time::{Sleep, sleep};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 
+use crate::config::LimitsConfig;
+use crate::shares::Peer;
 use crate::sparse;
 use frames::FrameCount;
+pub(super) use registry::{ConnectionUse, InUse};
+use registry::{Entry, Registry};
 
 /// How long accepting rests when the system has no more descriptors.
 const REST: Duration = Duration::from_millis(50);
@@ -25,13 +29,15 @@ const REST: Duration = Duration::from_millis(50);
 /// Takes connections off a port, a bounded number at a time.
 pub(super) struct Acceptor {
     listener: TcpListener,
-    permits: Arc<Semaphore>,
+    registry: Registry,
     handshake: Duration,
+    idle: Duration,
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration) -> Self {
-        Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake }
+    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig) -> Self {
+        let registry = Registry::new(limits.connections, limits.address_share);
+        Self { listener, registry, handshake: limits.handshake(), idle: limits.idle() }
     }
 
     /// The connections from now on, until the receiver is dropped.
@@ -51,11 +57,11 @@ impl Acceptor {
         ReceiverStream::new(receiver)
     }
 
-    /// The next connection there is a permit for; others are closed at once.
+    /// The next connection there is room for; others are closed at once.
     async fn next(&self) -> Connection {
         loop {
-            let stream = match self.listener.accept().await {
-                Ok((stream, _)) => stream,
+            let (stream, from) = match self.listener.accept().await {
+                Ok(accepted) => accepted,
                 Err(error) => {
                     if let Some(left_out) = sparse::line("a connection could not be accepted") {
                         tracing::warn!(%error, left_out, "a connection could not be accepted");
@@ -64,51 +70,56 @@ impl Acceptor {
                     continue;
                 }
             };
-            let Ok(permit) = self.permits.clone().try_acquire_owned() else {
+            let now = Instant::now();
+            let used = ConnectionUse::new(Peer::at(from.ip()), now);
+            let Some(entry) = self.registry.enter(&used, now) else {
                 tracing::debug!("closed a connection: too many");
                 continue;
             };
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
             let deadline = Box::pin(sleep(self.handshake));
-            let frames = FrameCount::new(Instant::now());
-            return Connection {
-                stream,
-                deadline,
-                first_request: FirstRequest::default(),
-                frames,
-                _permit: permit,
-            };
+            let (frames, closing) = (FrameCount::new(now), Box::pin(used.closing()));
+            return Connection { stream, deadline, idle: self.idle, used, closing, frames, _entry: entry };
         }
     }
 }
 
-/// Whether a connection's first request is still awaited.
-#[derive(Debug, Clone, Default)]
-pub(super) struct FirstRequest(Arc<AtomicBool>);
-
-impl FirstRequest {
-    /// A request came.
-    pub(super) fn came(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-
-    fn is_over(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-/// A connection that ends when its first request does not come in time, whatever else it sends, and when it sends frames
-/// without end that carry none.
+/// A connection that ends when its first request does not come in time, whatever else it sends, when it sends frames
+/// without end that carry none, when it was idle for long, and when it has to make room for another.
 pub(super) struct Connection {
     stream: TcpStream,
+    /// Of the first request; then when idleness is looked at again.
     deadline: Pin<Box<Sleep>>,
-    pub(super) first_request: FirstRequest,
+    idle: Duration,
+    pub(super) used: ConnectionUse,
+    closing: Pin<Box<OwnedNotified>>,
     frames: FrameCount,
-    _permit: OwnedSemaphorePermit,
+    _entry: Entry,
 }
 
 impl Connection {
+    /// Is its time over? `Some` with an error where it never was of use.
+    fn is_over(&mut self, cx: &mut Context<'_>) -> Option<io::Result<()>> {
+        if self.closing.as_mut().poll(cx).is_ready() {
+            return Some(Ok(()));
+        }
+        while self.deadline.as_mut().poll(cx).is_ready() {
+            // A request that came in the same moment is served.
+            if !self.used.was_requested() {
+                return Some(Err(io::ErrorKind::TimedOut.into()));
+            }
+            let idle = self.used.idle(Instant::now()).unwrap_or_default();
+            if idle >= self.idle {
+                return Some(Ok(()));
+            }
+            let again =
+                tokio::time::Instant::now() + self.idle.saturating_sub(idle).max(Duration::from_millis(1));
+            self.deadline.as_mut().reset(again);
+        }
+        None
+    }
+
     fn note_sent(&mut self, written: &Poll<io::Result<usize>>) {
         if let Poll::Ready(Ok(bytes)) = written {
             self.frames.sent(*bytes);
@@ -117,10 +128,10 @@ impl Connection {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = FirstRequest;
+    type ConnectInfo = ConnectionUse;
 
-    fn connect_info(&self) -> FirstRequest {
-        self.first_request.clone()
+    fn connect_info(&self) -> ConnectionUse {
+        self.used.clone()
     }
 }
 
@@ -130,11 +141,9 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if !self.first_request.is_over() && self.deadline.as_mut().poll(cx).is_ready() {
-            // A request that came in the same moment is served.
-            if !self.first_request.is_over() {
-                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
-            }
+        if let Some(over) = self.is_over(cx) {
+            // Nothing more is read: the caller takes it for the end of the connection.
+            return Poll::Ready(over);
         }
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);

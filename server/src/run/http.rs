@@ -1,5 +1,11 @@
 //! The operators' port.
 
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use axum::body::{Body, Bytes};
+use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
@@ -9,17 +15,20 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::connections::Acceptor;
-use super::{ServiceContext, ended};
+use super::connections::{Acceptor, InUse};
+use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
 use crate::http::{Hosts, HttpState, router_at};
+use crate::pace::PacedBody;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health } = shared;
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health, .. } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();
+    let (spool_dir, address_share, ending_too) =
+        (config.store.data_dir.clone(), limits.address_share, ending.clone());
     let state = HttpState {
         store,
         operations,
@@ -28,6 +37,8 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         feed,
         metrics,
         health,
+        spool_dir,
+        address_share,
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
@@ -36,7 +47,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     };
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
-    let mut connections = Acceptor::new(listener, limits.connections, limits.handshake()).open();
+    let mut connections = Acceptor::new(listener, limits).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {
@@ -45,10 +56,14 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
             () = &mut ended => None,
         };
         let Some(connection) = connection else { break };
-        let (first_request, routes) = (connection.first_request.clone(), routes.clone());
-        let service = service_fn(move |request| {
-            first_request.came();
-            routes.call(request)
+        let (used, routes, ending, pace) =
+            (connection.used.clone(), routes.clone(), ending_too.clone(), limits.pace());
+        let service = service_fn(move |request: hyper::Request<Incoming>| {
+            let held = used.begin();
+            let mut request = request.map(|body| PacedBody::new(body, Some(pace), ending.clone()));
+            request.extensions_mut().insert(used.peer());
+            let answer = routes.call(request);
+            async move { Ok::<_, Infallible>(answer.await?.map(|body| UsingBody { body, _held: held })) }
         });
         let served = builder.serve_connection(TokioIo::new(connection), service).into_owned();
         let served = graceful.watch(served);
@@ -71,8 +86,34 @@ fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {
         .max_concurrent_streams(limits.streams_per_connection)
         .max_header_list_size(limits.header_bytes)
         .max_pending_accept_reset_streams(limits.resets_per_connection)
-        .max_local_error_reset_streams(limits.resets_per_connection)
+        .max_local_error_reset_streams(LATE_FRAMES)
         .keep_alive_interval(limits.keepalive())
         .keep_alive_timeout(limits.keepalive_timeout());
     builder
+}
+
+/// The body of an answer. While it is there its connection is in use.
+struct UsingBody {
+    body: Body,
+    _held: InUse,
+}
+
+impl HttpBody for UsingBody {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
 }
