@@ -47,12 +47,13 @@ impl Acceptor {
             loop {
                 let connection = tokio::select! {
                     connection = self.next() => connection,
-                    () = sender.closed() => return,
+                    () = sender.closed() => break,
                 };
                 if sender.send(connection).await.is_err() {
-                    return;
+                    break;
                 }
             }
+            self.registry.close_silent();
         });
         ReceiverStream::new(receiver)
     }

@@ -134,6 +134,13 @@ impl Registry {
         Some(Entry { number, registry: self.clone() })
     }
 
+    /// Closes the connections that have not asked for anything: the end does not wait for them.
+    pub(super) fn close_silent(&self) {
+        let open = self.lock();
+        let silent = open.connections.values().filter(|connection| !connection.was_requested());
+        silent.for_each(|connection| connection.0.close.notify_one());
+    }
+
     fn lock(&self) -> std::sync::MutexGuard<'_, Open> {
         // A map that is still a map, whoever panicked.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
