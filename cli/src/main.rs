@@ -11,6 +11,7 @@ mod offline;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use echofix_harness::credentials::Credentials;
 
 /// All-weather positioning with automotive radar.
 #[derive(Parser)]
@@ -21,6 +22,8 @@ struct Cli {
     /// Print JSON for machines, without progress bars.
     #[arg(long, global = true)]
     json: bool,
+    #[command(flatten)]
+    credentials: Credentials,
 }
 
 #[derive(Subcommand)]
@@ -47,6 +50,10 @@ enum Command {
     /// Repeat the paper's experiments, and further ones, on simulated towns or on drive logs.
     #[cfg(feature = "lab")]
     Evaluate(echofix_lab::evaluate::command::Args),
+    /// Make certificates for a service that others reach: authority, service, vehicles, operators.
+    Identity(commands::identity::Args),
+    /// Make a bearer token, by which a service knows a caller.
+    Token(commands::token::Args),
     /// Show whether a running service is ready, and what its map holds.
     Status(commands::status::Args),
 }
@@ -57,13 +64,15 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            let missing =
+                error.downcast_ref().is_some_and(echofix_server::config::Error::is_missing_identity);
+            if missing { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }
 
 fn run(cli: Cli) -> anyhow::Result<()> {
-    let json = cli.json;
+    let (json, credentials) = (cli.json, cli.credentials);
     match cli.command {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Simulate(args) => commands::simulate::run(&args, json),
@@ -71,13 +80,15 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         #[cfg(feature = "lab")]
         Command::Evaluate(args) => echofix_lab::evaluate::command::run(&args, json),
         Command::Calibrate(args) => commands::calibrate::run(&args, json),
-        Command::Status(args) => commands::status::run(&args, json),
+        Command::Identity(args) => commands::identity::run(&args, json),
+        Command::Token(args) => commands::token::run(&args, json),
+        Command::Status(args) => commands::status::run(&args, &credentials, json),
         Command::Demo(args) => in_runtime(commands::demo::run(args, json)),
         #[cfg(feature = "lab")]
         Command::Bench(args) => in_runtime(echofix_lab::bench::command::run(args, json)),
-        Command::Map(args) => in_runtime(commands::map::run(args, json)),
-        Command::Tiles(args) => in_runtime(commands::tiles::run(args, json)),
-        Command::Localize(args) => in_runtime(commands::localize::run(args, json)),
+        Command::Map(args) => in_runtime(commands::map::run(args, &credentials, json)),
+        Command::Tiles(args) => in_runtime(commands::tiles::run(args, &credentials, json)),
+        Command::Localize(args) => in_runtime(commands::localize::run(args, &credentials, json)),
     }
 }
 

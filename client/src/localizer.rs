@@ -6,10 +6,10 @@ use echofix_proto::v1;
 use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use tokio::time::Instant;
 use tonic::Request;
-use tonic::transport::{Channel, Endpoint};
 
 use crate::backoff::{Backoff, BackoffPolicy};
 use crate::refusal::CallError;
+use crate::service::{CallerChannel, ServiceEndpoint};
 use crate::vehicle::LocalizationQuestion;
 
 /// How patiently the service is asked.
@@ -33,7 +33,7 @@ impl Default for LocalizerOptions {
 /// A connection to the localization service; cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Localizer {
-    client: LocalizationServiceClient<Channel>,
+    client: LocalizationServiceClient<CallerChannel>,
     options: LocalizerOptions,
 }
 
@@ -42,9 +42,11 @@ impl Localizer {
     ///
     /// Must be called within a tokio runtime.
     #[must_use]
-    pub fn new(endpoint: Endpoint, options: LocalizerOptions) -> Self {
+    pub fn new(endpoint: impl Into<ServiceEndpoint>, options: LocalizerOptions) -> Self {
         // A connection that died without a word is noticed between questions.
-        let endpoint = endpoint
+        let mut endpoint = endpoint.into();
+        endpoint.transport = endpoint
+            .transport
             .http2_keep_alive_interval(Duration::from_secs(5))
             .keep_alive_timeout(Duration::from_secs(5))
             .keep_alive_while_idle(true);

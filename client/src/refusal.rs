@@ -177,6 +177,10 @@ impl From<&Status> for CallError {
             Code::Cancelled if message == "Timeout expired" => Self::Deadline,
             Code::Unavailable | Code::Cancelled => Self::Unavailable { retry_after, message },
             Code::DeadlineExceeded => Self::Deadline,
+            // Sent under another name it would be another upload; access that is granted later does not help this one.
+            Code::PermissionDenied if named(status).is_some_and(|name| name == NOT_THE_CONTRIBUTOR) => {
+                Self::Refused { reason: RefusalReason::Other(NOT_THE_CONTRIBUTOR.to_owned()), message }
+            }
             Code::Unauthenticated | Code::PermissionDenied => Self::Denied { message },
             // A connection that breaks within a call shows as an unknown error with a source.
             Code::Unknown if std::error::Error::source(status).is_some() => {
@@ -185,6 +189,13 @@ impl From<&Status> for CallError {
             code => Self::Failed { code, message },
         }
     }
+}
+
+/// The reason by which a service refuses an upload under another name than its caller's.
+const NOT_THE_CONTRIBUTOR: &str = "NOT_THE_CONTRIBUTOR";
+
+fn named(status: &Status) -> Option<String> {
+    status.get_details_error_info().map(|info| info.reason)
 }
 
 fn violations(status: &Status) -> Vec<FieldViolation> {

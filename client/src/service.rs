@@ -2,17 +2,68 @@
 
 use std::time::Duration;
 
-use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Request, Status};
 
 /// Where the service is and who the vehicle is to it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ServiceAddress {
     /// `http://host:port`, or `https://host:port` for TLS.
     pub url: String,
-    /// PEM of the authority that signed the service's certificate; needed for `https`.
+    /// PEM of the authority that signed the service's certificate; without it the public ones count.
     pub ca_pem: Option<String>,
     /// PEM of the vehicle's own certificate and of its key, for a service that asks for one.
     pub identity_pem: Option<(String, String)>,
+    /// The bearer token by which the caller is known, for a service that takes them.
+    pub token: Option<String>,
+}
+
+/// The transport's settings, and the token that goes with each call.
+#[derive(Debug, Clone)]
+pub struct ServiceEndpoint {
+    /// How the service is connected to.
+    pub transport: Endpoint,
+    bearer: Bearer,
+}
+
+impl From<Endpoint> for ServiceEndpoint {
+    fn from(transport: Endpoint) -> Self {
+        Self { transport, bearer: Bearer::default() }
+    }
+}
+
+impl ServiceEndpoint {
+    /// A connection that is made with its first call, within a tokio runtime.
+    #[must_use]
+    pub fn connect_lazy(&self) -> CallerChannel {
+        InterceptedService::new(self.transport.connect_lazy(), self.bearer.clone())
+    }
+}
+
+/// A connection whose calls tell who makes them.
+pub type CallerChannel = InterceptedService<Channel, Bearer>;
+
+/// Puts the caller's token into each call.
+#[derive(Clone, Default)]
+pub struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl std::fmt::Debug for Bearer {
+    /// Without the token.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.0.is_some() { "Bearer(...)" } else { "Bearer(none)" })
+    }
+}
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(bearer) = &self.0 {
+            request.metadata_mut().insert("authorization", bearer.clone());
+        }
+        Ok(request)
+    }
 }
 
 /// Why the service cannot be addressed.
@@ -24,7 +75,7 @@ pub enum Error {
         /// The text that is no address.
         url: String,
     },
-    /// A certificate for a connection that is not encrypted, or none for one that is.
+    /// A certificate or token for a connection that is not encrypted, or a token that is none.
     #[error("{0}")]
     Tls(&'static str),
     /// The certificates cannot be used.
@@ -36,14 +87,19 @@ impl ServiceAddress {
     /// A service at an `http://host:port`.
     #[must_use]
     pub fn at(url: impl Into<String>) -> Self {
-        Self { url: url.into(), ca_pem: None, identity_pem: None }
+        Self { url: url.into(), ca_pem: None, identity_pem: None, token: None }
     }
 
     /// The transport's settings; nothing is connected yet.
     ///
     /// # Errors
-    /// When the URL or the certificates cannot be used.
-    pub fn endpoint(&self) -> Result<Endpoint, Error> {
+    /// When the URL, the certificates or the token cannot be used.
+    pub fn endpoint(&self) -> Result<ServiceEndpoint, Error> {
+        let bearer = Bearer(self.token.as_deref().map(bearer).transpose()?);
+        Ok(ServiceEndpoint { transport: self.transport()?, bearer })
+    }
+
+    fn transport(&self) -> Result<Endpoint, Error> {
         let not_a_url = || Error::Url { url: self.url.clone() };
         let endpoint = Endpoint::from_shared(self.url.clone()).map_err(|_| not_a_url())?;
         let endpoint = endpoint
@@ -52,25 +108,41 @@ impl ServiceAddress {
             .connect_timeout(Duration::from_secs(5))
             .tcp_nodelay(true);
         match endpoint.uri().scheme_str() {
+            Some("http") if self.token.is_some() && !endpoint.uri().host().is_some_and(is_loopback) => {
+                Err(Error::Tls("a token needs an https:// address: anybody on the way could read it"))
+            }
             Some("http") if self.ca_pem.is_none() && self.identity_pem.is_none() => Ok(endpoint),
             Some("http") => {
                 Err(Error::Tls("certificates need an https:// address; this one is not encrypted"))
             }
-            Some("https") => endpoint.tls_config(self.tls()?).map_err(Error::Certificates),
+            Some("https") => endpoint.tls_config(self.tls()).map_err(Error::Certificates),
             _ => Err(not_a_url()),
         }
     }
 
-    fn tls(&self) -> Result<ClientTlsConfig, Error> {
-        let ca = self.ca_pem.as_ref().ok_or(Error::Tls(
-            "an https:// address needs the certificate of the authority that signed the service's (`ca_pem`)",
-        ))?;
-        let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca));
-        Ok(match &self.identity_pem {
+    fn tls(&self) -> ClientTlsConfig {
+        let tls = match &self.ca_pem {
+            Some(ca) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)),
+            None => ClientTlsConfig::new().with_webpki_roots(),
+        };
+        match &self.identity_pem {
             Some((certificate, key)) => tls.identity(Identity::from_pem(certificate, key)),
             None => tls,
-        })
+        }
     }
+}
+
+fn bearer(token: &str) -> Result<MetadataValue<Ascii>, Error> {
+    let no_token = |_| Error::Tls("the token holds characters that no token has");
+    let mut bearer: MetadataValue<Ascii> = format!("Bearer {}", token.trim()).parse().map_err(no_token)?;
+    bearer.set_sensitive(true);
+    Ok(bearer)
+}
+
+/// Does a host, as it stands in an address, lie on this machine?
+fn is_loopback(host: &str) -> bool {
+    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    bare == "localhost" || bare.parse().is_ok_and(|address: std::net::IpAddr| address.is_loopback())
 }
 
 #[cfg(test)]
@@ -89,8 +161,23 @@ mod tests {
 
     #[test]
     fn certificates_and_encryption_go_together() {
-        assert!(matches!(ServiceAddress::at("https://host:1").endpoint(), Err(Error::Tls(_))));
+        assert!(ServiceAddress::at("https://host:1").endpoint().is_ok(), "the public authorities");
         let half = ServiceAddress { ca_pem: Some(String::new()), ..ServiceAddress::at("http://host:1") };
         assert!(matches!(half.endpoint(), Err(Error::Tls(_))));
+    }
+
+    /// Catches: a token that anybody on the way reads, or that a log shows.
+    #[test]
+    fn tokens_go_over_encrypted_connections_only_and_are_not_shown() {
+        let with = |url: &str| {
+            ServiceAddress { token: Some("secret-7".to_owned()), ..ServiceAddress::at(url) }.endpoint()
+        };
+        for url in ["https://host:1", "http://127.0.0.1:1", "http://[::1]:1", "http://localhost:1"] {
+            assert!(!format!("{:?}", with(url).unwrap()).contains("secret-7"), "{url}");
+        }
+        assert!(matches!(with("http://host:1"), Err(Error::Tls(_))));
+        let mut bearer = with("https://host:1").unwrap().bearer;
+        let request = bearer.call(Request::new(())).unwrap();
+        assert_eq!(request.metadata()["authorization"], "Bearer secret-7");
     }
 }

@@ -2,6 +2,7 @@
 //! way.
 //!
 //! - [`process`]: the service as a process of its own; [`http`]: what its operators' port answers.
+//! - [`credentials`]: who a command is to a service, and whom it believes.
 //! - [`town`]: drives in a simulated town.
 //! - [`recording`]: a drive becomes uploads, through the vehicle's own recorder; [`uploading`]: they go to the map,
 //!   through the vehicle's spool and uploader.
@@ -10,6 +11,7 @@
 //!   [`summary`]: the figures of many.
 //! - [`percentiles`]: nearest ranks, and the paper's figures to compare with; [`progress`]: bars for people.
 
+pub mod credentials;
 pub mod fix_record;
 pub mod http;
 pub mod percentiles;

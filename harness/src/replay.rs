@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use echofix_client::refusal::CallError;
-use echofix_client::service::ServiceAddress;
+use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use echofix_client::vehicle::LocalizationQuestion;
 use echofix_client::{Localizer, LocalizerOptions};
 use echofix_core::drive::Drive;
@@ -52,8 +52,14 @@ pub struct ReplayedDrive {
 /// # Errors
 /// When the address is not one.
 pub fn patient_localizer(server: &str) -> anyhow::Result<Localizer> {
+    Ok(patient_localizer_to(ServiceAddress::at(server).endpoint()?))
+}
+
+/// The same as somebody whom the service knows.
+#[must_use]
+pub fn patient_localizer_to(service: ServiceEndpoint) -> Localizer {
     let options = LocalizerOptions { deadline: Duration::from_mins(1), ..LocalizerOptions::default() };
-    Ok(Localizer::new(ServiceAddress::at(server).endpoint()?, options))
+    Localizer::new(service, options)
 }
 
 /// Asks all that a drive has to ask, so many questions at once.

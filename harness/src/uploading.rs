@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use echofix_client::service::ServiceAddress;
+use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use echofix_client::upload::spool::{Spool, SpoolLimits};
 use echofix_client::upload::{RecorderConfig, Uploader, UploaderOptions};
 use echofix_core::drive::Drive;
@@ -46,10 +46,24 @@ pub async fn upload(
     config: RecorderConfig,
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
+    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, bar).await
+}
+
+/// The same as somebody whom the service knows.
+///
+/// # Errors
+/// When the drive has no reference poses, or the service does not take the uploads in time.
+pub async fn upload_to(
+    drive: &Drive,
+    service: ServiceEndpoint,
+    spool: &Path,
+    config: RecorderConfig,
+    bar: &ProgressBar,
+) -> anyhow::Result<UploadedDrive> {
     let RecordedDrive { uploads, left_out, findings } = record(drive, config)?;
     let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
     let spool = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;
-    let uploader = Uploader::start(ServiceAddress::at(server).endpoint()?, spool, UploaderOptions::default());
+    let uploader = Uploader::start(service, spool, UploaderOptions::default());
     let mut done = UploadedDrive { left_out, findings, ..UploadedDrive::default() };
     bar.inc_length(uploads.len() as u64);
     for upload in uploads {

@@ -25,6 +25,10 @@ pub struct ServeArgs {
     /// Overrides any key, for instance `--set mapping.max_range_m=60`; may be repeated
     #[arg(long = "set", value_name = "SECTION.KEY=VALUE", value_parser = key_and_value)]
     pub settings: Vec<(String, String)>,
+    /// What callers may do whom nothing identifies: some of vehicle, mapper, viewer, operator, with commas between, or none;
+    /// overrides `identity.anonymous`
+    #[arg(long, value_name = "ROLES")]
+    pub anonymous: Option<String>,
     /// Write the addresses in use to this file, as JSON
     #[arg(long, value_name = "PATH")]
     pub addr_file: Option<PathBuf>,
@@ -47,6 +51,7 @@ impl ServeArgs {
         set("store.data_dir", self.data_dir.as_ref().map(|dir| dir.display().to_string()));
         set("grpc.listen", self.grpc_listen.map(|address| address.to_string()));
         set("http.listen", self.http_listen.map(|address| address.to_string()));
+        set("identity.anonymous", self.anonymous.clone());
         // Variables that are not Unicode cannot be ours.
         let text = |(k, v): (std::ffi::OsString, std::ffi::OsString)| {
             Some((k.into_string().ok()?, v.into_string().ok()?))
@@ -55,14 +60,17 @@ impl ServeArgs {
         Config::load(&Sources { file: self.config.clone(), environment, settings })
     }
 
-    /// What to print instead of serving, where only the configuration is asked for.
-    #[must_use]
-    pub fn instead_of_serving(&self, config: &Config) -> Option<String> {
-        match self {
-            Self { print_config: true, .. } => Some(config.to_toml()),
-            Self { check_config: true, .. } => Some(String::new()),
-            _ => None,
+    /// What to print instead of serving, where only the configuration is asked for. For serving and checking, what it names
+    /// is read and checked, too.
+    ///
+    /// # Errors
+    /// When nobody can be let in as configured.
+    pub fn instead_of_serving(&self, config: &Config) -> Result<Option<String>, Error> {
+        if self.print_config {
+            return Ok(Some(config.to_toml()));
         }
+        config.gate()?;
+        Ok(self.check_config.then(String::new))
     }
 }
 

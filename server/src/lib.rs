@@ -9,6 +9,7 @@
 //! - [`shares`]: pools of which no peer can take all.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
+//! - [`identity`]: who is there, and what they may do; the same for both ports.
 //! - [`grpc`]: for vehicles: decode and validate, call the domain, encode.
 //! - [`http`]: for operators: map layers, catalog, feeds, probes and the console.
 //! - [`mapping`]: what an upload must fulfil.
@@ -25,6 +26,7 @@ pub mod feed;
 pub mod grpc;
 pub mod health;
 pub mod http;
+pub mod identity;
 pub mod lanes;
 pub mod locating;
 pub mod log;

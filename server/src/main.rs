@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use echofix_server::args::ServeArgs;
-use echofix_server::{log, run};
+use echofix_server::{config, log, run};
 
 /// Work that still holds a thread at the end gets this long.
 const LAST_WORK: Duration = Duration::from_secs(1);
@@ -26,7 +26,8 @@ fn main() -> ExitCode {
         Err(error) => {
             // Without standard error there is nowhere to report it.
             let _ = writeln!(std::io::stderr(), "echofix-server: {error}");
-            ExitCode::FAILURE
+            let missing = error.downcast_ref().is_some_and(config::Error::is_missing_identity);
+            if missing { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -39,7 +40,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     };
     let args = Args::parse();
     let config = args.serve.config()?;
-    if let Some(text) = args.serve.instead_of_serving(&config) {
+    if let Some(text) = args.serve.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;

@@ -45,6 +45,10 @@ pub struct Metrics {
     pub in_quarantine: Gauge,
     /// Places where several contributors disagree with the map alike.
     pub alarms: Gauge,
+    /// The end of the service's certificate, seconds since the Unix epoch; 0 without one.
+    pub tls_not_after: Gauge,
+    /// Times that certificates or tokens could not be read again.
+    pub tls_reload_failures: Counter,
     /// Epoch of the map that is served.
     pub epoch: Gauge,
     /// Uploads in the journal that are not folded yet.
@@ -68,6 +72,8 @@ impl Default for Metrics {
             quarantined: Family::default(),
             in_quarantine: Gauge::default(),
             alarms: Gauge::default(),
+            tls_not_after: Gauge::default(),
+            tls_reload_failures: Counter::default(),
             epoch: Gauge::default(),
             unfolded: Gauge::default(),
         };
@@ -99,6 +105,10 @@ impl Metrics {
         r.register("in_quarantine", "Uploads in quarantine", self.in_quarantine.clone());
         let help = "Places where several contributors disagree with the map alike";
         r.register("alarms", help, self.alarms.clone());
+        let help = "The end of the service's certificate, seconds since the Unix epoch; 0 without one";
+        r.register("tls_not_after_seconds", help, self.tls_not_after.clone());
+        let help = "Times that certificates or tokens could not be read again";
+        r.register("tls_reload_failures", help, self.tls_reload_failures.clone());
         r.register("map_epoch", "Epoch of the map that is served", self.epoch.clone());
         r.register("unfolded_contributions", "Uploads in the journal not folded yet", self.unfolded.clone());
     }

@@ -42,3 +42,9 @@ pub fn echofix<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Comma
     let text = |bytes| String::from_utf8(bytes).expect("the command writes UTF-8");
     CommandRun { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }
 }
+
+/// The UTC date of tomorrow: before it is all that came until now.
+pub fn tomorrow() -> String {
+    let date = Command::new("date").args(["-u", "-d", "tomorrow", "+%F"]).output().expect("date can be run");
+    String::from_utf8(date.stdout).expect("a date is text").trim().to_owned()
+}

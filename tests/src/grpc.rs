@@ -14,7 +14,11 @@ use crate::service::Service;
 /// Connects to the vehicles' port.
 pub async fn connect(service: &Service) -> Channel {
     let endpoint = service::ServiceAddress::at(&service.grpc).endpoint().expect("the address is one");
-    endpoint.connect().await.unwrap_or_else(|error| panic!("cannot connect to {}: {error}", service.grpc))
+    endpoint
+        .transport
+        .connect()
+        .await
+        .unwrap_or_else(|error| panic!("cannot connect to {}: {error}", service.grpc))
 }
 
 /// A client that localizes.

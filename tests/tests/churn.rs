@@ -175,7 +175,8 @@ async fn what_a_service_takes_follows_the_map_and_not_the_uploads() {
         end.uploads - half.uploads,
         grown / minutes,
     );
-    let compact = ["map", "compact", "--before", "2149-01-01", "--http", &service.http, "--json"];
+    let compact =
+        ["map", "compact", "--yes", "--before", &command::tomorrow(), "--http", &service.http, "--json"];
     assert!(command::echofix(compact).json()["epoch"].is_u64());
     folded(&service).await;
     until("the old tiles are gone", Duration::from_secs(30), async || {

@@ -5,7 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 use std::time::Duration;
 
-use echofix_tests::command::echofix;
+use echofix_tests::command::{echofix, tomorrow};
 use echofix_tests::service::Service;
 use echofix_tests::until_blocking;
 use serde_json::Value;
@@ -51,7 +51,7 @@ fn an_operator_takes_back_brings_back_and_restores() {
     assert!(mapped["totals"]["cells"].as_u64().unwrap() > 1_000, "{mapped}");
     operate(&service, &["export", &region]);
 
-    let revoked = operate(&service, &["revoke", "--contributor", "mapper"]);
+    let revoked = operate(&service, &["revoke", "--contributor", "mapper", "--yes"]);
     assert_eq!(shown(&service)["totals"]["cells"], 0, "all of it came from one contributor");
     let diff = operate(&service, &["diff", &mapped["epoch"].to_string(), &revoked["epoch"].to_string()]);
     assert_eq!(diff["cells"]["removed"], mapped["totals"]["cells"]);
@@ -61,13 +61,27 @@ fn an_operator_takes_back_brings_back_and_restores() {
 
     operate(&service, &["backup", &archive]);
     assert_eq!(fs::metadata(&archive).unwrap().permissions().mode() & 0o777, 0o600);
-    operate(&service, &["rollback", &revoked["epoch"].to_string()]);
+    let foretold = operate(&service, &["rollback", &revoked["epoch"].to_string(), "--dry-run"]);
+    assert_eq!(foretold["dry_run"]["cells"]["removed"], mapped["totals"]["cells"]);
+    let unasked = echofix(["map", "rollback", "0", "--http", &service.http]);
+    assert!(unasked.stderr.contains("--yes"), "nobody can be asked: {}", unasked.stderr);
+    operate(&service, &["rollback", &revoked["epoch"].to_string(), "--yes"]);
+    assert_eq!(shown(&service)["totals"]["cells"], 0);
+    let undone =
+        operate(&service, &["undo", &shown(&service)["epoch"].to_string(), "--yes", "--reason", "a mistake"]);
+    assert_eq!(shown(&service)["totals"]["cells"], mapped["totals"]["cells"]);
+    let history = operate(&service, &["history"]);
+    assert_eq!(
+        (&history["events"][0]["reason"], &history["events"][1]["undone_by"]),
+        (&"a mistake".into(), &undone["epoch"])
+    );
+    operate(&service, &["undo", &undone["epoch"].to_string(), "--yes"]);
     assert_eq!(shown(&service)["totals"]["cells"], 0);
     let kinds = |history: &Value| -> Vec<String> {
         let events = history["events"].as_array().unwrap().iter();
         events.map(|event| event["kind"].as_str().unwrap().to_owned()).collect()
     };
-    let expected = ["rollback", "import", "revoke_contributor", "uploads"];
+    let expected = ["undo", "undo", "rollback", "import", "revoke_contributor", "uploads"];
     assert_eq!(kinds(&operate(&service, &["history"])), expected);
     let found = operate(&service, &["verify", "--replay"]);
     assert_eq!(found["sound"], true, "{found}");
@@ -83,8 +97,8 @@ fn an_operator_takes_back_brings_back_and_restores() {
         mapped["totals"]["cells"],
         "as it was before the rollback"
     );
-    assert_eq!(kinds(&operate(&service, &["history"])), expected[1..]);
-    let settled = operate(&service, &["compact", "--before", "2149-01-01"]);
+    assert_eq!(kinds(&operate(&service, &["history"])), expected[3..]);
+    let settled = operate(&service, &["compact", "--before", &tomorrow(), "--yes"]);
     assert!(settled["epoch"].is_u64(), "{settled}");
     assert_eq!(shown(&service)["totals"]["cells"], mapped["totals"]["cells"]);
 }

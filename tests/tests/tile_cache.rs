@@ -17,14 +17,13 @@ use echofix_tests::wiretap::Wiretap;
 use echofix_tests::{binary, crowd, grpc, mapping, town, until_blocking};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tonic::transport::Endpoint;
 use uuid::Uuid;
 
 fn open(dir: &Path) -> TileCache {
     TileCache::open(dir, TileCacheLimits::default()).expect("the cache can be opened")
 }
 
-fn endpoint(url: &str) -> Endpoint {
+fn endpoint(url: &str) -> service::ServiceEndpoint {
     service::ServiceAddress::at(url).endpoint().expect("the address is one")
 }
 
@@ -101,7 +100,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     assert_is(&cache, &newer);
 
     let http = ["--http", &service.http, "--json"];
-    echofix(["map", "rollback", &epoch.to_string()].iter().chain(&http)).json();
+    echofix(["map", "rollback", "--yes", &epoch.to_string()].iter().chain(&http)).json();
     mapping::folded(&service).await;
     let back = sync(&cache, &tap).await;
     let served = tiles::all(&service).await;
@@ -112,7 +111,7 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     let contents = |map: &Tiles| map.iter().map(|(id, (_, bytes))| (*id, bytes.clone())).collect::<Vec<_>>();
     assert_eq!(contents(&served), contents(&map), "it is the map before the upload");
 
-    echofix(["map", "rollback", "0"].iter().chain(&http)).json();
+    echofix(["map", "rollback", "--yes", "0"].iter().chain(&http)).json();
     mapping::folded(&service).await;
     let nothing = sync(&cache, &tap).await;
     assert_eq!((nothing.removed as usize, cache.versions().len(), cache.bytes()), (served.len(), 0, 0));

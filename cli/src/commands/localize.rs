@@ -7,12 +7,13 @@ use anyhow::{Context, ensure};
 use echofix_client::drivelog;
 use echofix_core::gate::MAX_RANGE_M;
 use echofix_core::odometry::OdometryQuality;
+use echofix_harness::credentials::Credentials;
 use echofix_harness::fix_record::FixRecord;
 use echofix_harness::percentiles::Percentiles;
 use echofix_harness::prior::PriorSigma;
 use echofix_harness::progress;
 use echofix_harness::questions::QuestionPlan;
-use echofix_harness::replay::{ask, patient_localizer};
+use echofix_harness::replay::{ask, patient_localizer_to};
 use echofix_harness::summary::FixSummary;
 
 use super::ScanRange;
@@ -84,7 +85,7 @@ pub struct Args {
 /// # Errors
 /// When the log cannot be read, the truth is not known, the service is out of reach, no question is answered, or fewer answers
 /// than asked for are usable.
-pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     let mut drive =
         drivelog::read(&args.drive).with_context(|| format!("reading {}", args.drive.display()))?;
     if let Some(scans) = &args.scans {
@@ -109,7 +110,10 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let bar = progress::bar("localizing", 0, json);
     let replay = match &args.offline {
         Some(tiles) => ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?,
-        None => ask(&drive, &patient_localizer(&args.server)?, &plan, args.at_once, &bar).await?,
+        None => {
+            let localizer = patient_localizer_to(credentials.endpoint(&args.server)?);
+            ask(&drive, &localizer, &plan, args.at_once, &bar).await?
+        }
     };
     bar.finish_and_clear();
     if let Some((out, writer)) = out {

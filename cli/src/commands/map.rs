@@ -6,8 +6,9 @@ use anyhow::Context;
 use echofix_client::drivelog;
 use echofix_client::upload::{RecorderConfig, UploadForm};
 use echofix_core::gate::{Gate, MAX_RANGE_M};
+use echofix_harness::credentials::Credentials;
 use echofix_harness::progress;
-use echofix_harness::uploading::{UploadedDrive, upload};
+use echofix_harness::uploading::{UploadedDrive, upload_to};
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
@@ -56,6 +57,10 @@ pub struct Args {
     /// Upload scans and poses (raw uploads). Without it, the evidence that was built from them.
     #[arg(long)]
     raw: bool,
+    /// Upload under this name instead of the log's vehicle: to a service that knows the caller, its own name, or for a gateway
+    /// one below it.
+    #[arg(long)]
+    contributor: Option<String>,
     /// Use only these scans of each log, counted from 1, like 1-9.
     #[arg(long)]
     scans: Option<ScanRange>,
@@ -81,10 +86,12 @@ pub struct Args {
 ///
 /// # Errors
 /// When a log cannot be read or has no known poses, when the service refuses its uploads, or when an operation fails.
-pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     if let Some(operation) = args.operation {
         // The operations block.
-        return tokio::task::block_in_place(|| map_operations::run(&operation, &args.http, json));
+        return tokio::task::block_in_place(|| {
+            map_operations::run(&operation, &args.http, credentials, json)
+        });
     }
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
     let config = RecorderConfig {
@@ -97,7 +104,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     };
     let mut failed = 0;
     for path in &args.drives {
-        match map_drive(path, &args, config, json).await {
+        match map_drive(path, &args, credentials, config, json).await {
             Ok(()) => {}
             Err(error) if args.drives.len() == 1 => return Err(error),
             // What is good of the rest is sent all the same.
@@ -111,13 +118,22 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn map_drive(path: &Path, args: &Args, config: RecorderConfig, json: bool) -> anyhow::Result<()> {
+async fn map_drive(
+    path: &Path,
+    args: &Args,
+    credentials: &Credentials,
+    config: RecorderConfig,
+    json: bool,
+) -> anyhow::Result<()> {
     let mut drive = drivelog::read(path).with_context(|| format!("reading {}", path.display()))?;
+    if let Some(contributor) = &args.contributor {
+        drive.vehicle.clone_from(contributor);
+    }
     if let Some(scans) = &args.scans {
         scans.apply(&mut drive);
     }
     let bar = progress::bar("uploading", 0, json);
-    let done = upload(&drive, &args.server, &args.spool, config, &bar).await?;
+    let done = upload_to(&drive, credentials.endpoint(&args.server)?, &args.spool, config, &bar).await?;
     bar.finish_and_clear();
     report(&path.display().to_string(), &done, json)?;
     let nothing = done.uploads + done.duplicates == 0 && done.refused > 0;

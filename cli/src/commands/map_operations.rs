@@ -7,10 +7,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
+use echofix_harness::credentials::Credentials;
 use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
 
+use super::decisions::{HowDecided, decide};
 use super::ranges::within;
 
 /// Longest time of an operation: some fold the whole journal again.
@@ -39,6 +41,15 @@ pub enum MapOperation {
     Rollback {
         /// The last epoch whose record still counts.
         epoch: u64,
+        #[command(flatten)]
+        how: HowDecided,
+    },
+    /// Undo a rollback, a revocation or an undoing: what it took back counts again.
+    Undo {
+        /// The decision's epoch, as `echofix map history` lists it.
+        decision: u64,
+        #[command(flatten)]
+        how: HowDecided,
     },
     /// Exclude what a contributor has uploaded so far, or one upload or imported file.
     #[command(group = clap::ArgGroup::new("whose").required(true))]
@@ -46,9 +57,14 @@ pub enum MapOperation {
         /// The pseudonym under which the contributor uploads.
         #[arg(long, group = "whose")]
         contributor: Option<String>,
+        /// The contributor's keyed hash, as `echofix map quarantine` and `history` tell it.
+        #[arg(long, group = "whose")]
+        contributor_hash: Option<String>,
         /// The id of an upload or an imported file.
         #[arg(long, group = "whose")]
         upload: Option<String>,
+        #[command(flatten)]
+        how: HowDecided,
     },
     /// Write the tiles of a region to a file.
     Export {
@@ -76,6 +92,8 @@ pub enum MapOperation {
         /// The day, as a UTC date like 2026-12-31. Records of this day and later ones stay as they are.
         #[arg(long)]
         before: String,
+        #[command(flatten)]
+        how: HowDecided,
     },
     /// Write a backup of the store to a tar archive, while the service runs.
     ///
@@ -91,8 +109,14 @@ pub enum MapOperation {
 ///
 /// # Errors
 /// When the service cannot be reached or refuses, a file cannot be read or written, or `verify` finds damage.
-pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<()> {
-    let port = OperatorsPort::at(http);
+pub fn run(
+    operation: &MapOperation,
+    http: &str,
+    credentials: &Credentials,
+    json: bool,
+) -> anyhow::Result<()> {
+    let port = OperatorsPort::at(http, credentials)?;
+    let decided = |route: &str, body, how: &_| decide(route, body, how, |path, body| port.post(path, body));
     let body = match operation {
         MapOperation::History { limit } => {
             let body = port.get(&format!("history?limit={limit}"))?;
@@ -118,12 +142,16 @@ pub fn run(operation: &MapOperation, http: &str, json: bool) -> anyhow::Result<(
         }
         MapOperation::Backup { file } => json!({ "bytes": port.download("backup", file, 0o600)? }),
         MapOperation::Import { file } => port.import(file)?,
-        MapOperation::Rollback { epoch } => port.post("rollback", &json!({ "epoch": epoch }))?,
-        MapOperation::Revoke { contributor: Some(contributor), .. } => {
-            port.post("revoke", &json!({ "contributor": contributor }))?
+        MapOperation::Rollback { epoch, how } => decided("rollback", json!({ "epoch": epoch }), how)?,
+        MapOperation::Undo { decision, how } => decided("undo", json!({ "decision": decision }), how)?,
+        MapOperation::Revoke { contributor: Some(name), how, .. } => {
+            decided("revoke", json!({ "contributor": name }), how)?
         }
-        MapOperation::Revoke { upload, .. } => port.post("revoke", &json!({ "upload": upload }))?,
-        MapOperation::Compact { before } => port.post("compact", &json!({ "before": before }))?,
+        MapOperation::Revoke { contributor_hash: Some(hash), how, .. } => {
+            decided("revoke", json!({ "contributor_hash": hash }), how)?
+        }
+        MapOperation::Revoke { upload, how, .. } => decided("revoke", json!({ "upload": upload }), how)?,
+        MapOperation::Compact { before, how } => decided("compact", json!({ "before": before }), how)?,
     };
     show(&body, json, |body| println!("{body:#}"))
 }
@@ -154,10 +182,18 @@ fn history(body: &Value) {
                 of => format!("{kind} {of}"),
             }
         };
-        let back = [("taken_back", "taken back"), ("takes_back", "taken back by it")];
+        let word = |key: &str| event[key].as_str().map(str::to_owned);
+        let undone = event["undone_by"].as_u64().map(|by| format!("; undone by {by}")).unwrap_or_default();
+        let by = word("by").map(|by| format!("; by {by}")).unwrap_or_default();
+        let why = word("reason").map(|reason| format!("; \"{reason}\"")).unwrap_or_default();
+        let back = [
+            ("taken_back", "taken back"),
+            ("takes_back", "taken back by it"),
+            ("gives_back", "given back by it"),
+        ];
         let back = back.iter().find_map(|(key, words)| Some((event[*key].as_u64()?, words)));
         let back = back.filter(|(count, _)| *count > 0).map(|(count, words)| format!("; {count} {words}"));
-        println!("{epochs:>15}  {date}  {what}{}", back.unwrap_or_default());
+        println!("{epochs:>15}  {date}  {what}{}{by}{why}{undone}", back.unwrap_or_default());
     }
 }
 
@@ -175,11 +211,13 @@ fn quarantine(body: &Value) {
         let word = |key: &str| upload[key].as_str().unwrap_or_default().to_lowercase();
         let epoch = upload["epoch"].to_string();
         println!(
-            "{epoch:>9}  {}  {:<10} {}  {}",
+            "{epoch:>9}  {}  {:<10} {}  {}  upload {} of contributor {}",
             word("date"),
             word("reason"),
             place(upload),
-            offset(upload)
+            offset(upload),
+            upload["upload_id"].as_str().unwrap_or("(compacted)"),
+            word("contributor"),
         );
     }
     for alarm in body["alarms"].as_array().into_iter().flatten() {
@@ -210,13 +248,9 @@ struct OperatorsPort {
 }
 
 impl OperatorsPort {
-    fn at(http: &str) -> Self {
-        let config = ureq::Agent::config_builder()
-            .timeout_global(Some(WITHIN))
-            // A refusal has a body, with its reason.
-            .http_status_as_error(false);
+    fn at(http: &str, credentials: &Credentials) -> anyhow::Result<Self> {
         let root = format!("{}/api/v1/map", http.trim_end_matches('/'));
-        Self { agent: config.build().into(), root }
+        Ok(Self { agent: credentials.agent(http, WITHIN)?, root })
     }
 
     fn get(&self, path: &str) -> anyhow::Result<Value> {

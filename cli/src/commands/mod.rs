@@ -1,7 +1,9 @@
 //! One file a subcommand.
 
 pub mod calibrate;
+mod decisions;
 pub mod demo;
+pub mod identity;
 pub mod import;
 pub mod localize;
 pub mod map;
@@ -11,6 +13,7 @@ pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod tiles;
+pub mod token;
 
 use std::ops::RangeInclusive;
 use std::str::FromStr;

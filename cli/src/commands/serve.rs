@@ -32,7 +32,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let Args { service: args, end_with_stdin } = args;
     let config = args.config()?;
-    if let Some(text) = args.instead_of_serving(&config) {
+    if let Some(text) = args.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;

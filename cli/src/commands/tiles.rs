@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use echofix_client::service::ServiceAddress;
 use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
+use echofix_harness::credentials::Credentials;
 use echofix_proto::v1::GeodeticBox;
 
 use super::ranges::within;
@@ -39,12 +39,12 @@ enum TilesOperation {
 ///
 /// # Errors
 /// When the service cannot be reached or refuses, or the folder cannot be used.
-pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
+pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     let TilesOperation::Sync { dir, area, server, max_mb } = args.operation;
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
     let limits = TileCacheLimits { max_bytes: max_mb.saturating_mul(1_000_000) };
     let cache = TileCache::open(dir, limits)?;
-    let service = ServiceAddress::at(server).endpoint()?;
+    let service = credentials.endpoint(&server)?;
     let done = cache.sync(&service, &Want::Area(area.unwrap_or(everywhere))).await?;
     report(&done, &cache, json);
     Ok(())

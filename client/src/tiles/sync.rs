@@ -10,11 +10,11 @@ use echofix_proto::v1::get_tiles_response::Part;
 use echofix_proto::v1::map_service_client::MapServiceClient;
 use echofix_proto::v1::{GetTilesRequest, GetTilesResponse, TilesSummary};
 use tonic::Streaming;
-use tonic::transport::{Channel, Endpoint};
 
 use super::assembly::{self, Assembly, Whole};
 use super::{CacheInner, Error, TileCache, Want};
 use crate::refusal::CallError;
+use crate::service::{CallerChannel, ServiceEndpoint};
 
 /// The next message of an answer is waited for this long.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -47,7 +47,7 @@ impl TileCache {
     /// # Errors
     /// When the service cannot be reached, refuses, or answers nonsense, what is wanted does not fit, or the file
     /// system refuses.
-    pub async fn sync(&self, service: &Endpoint, want: &Want) -> Result<Synced, Error> {
+    pub async fn sync(&self, service: &ServiceEndpoint, want: &Want) -> Result<Synced, Error> {
         let _one = self.inner.syncing.lock().await;
         let (since, have) = {
             let mut index = self.inner.index();
@@ -73,7 +73,7 @@ impl TileCache {
     /// Takes the tiles of one answer.
     async fn take(
         &self,
-        client: &mut MapServiceClient<Channel>,
+        client: &mut MapServiceClient<CallerChannel>,
         request: GetTilesRequest,
         since: u64,
         done: &mut Synced,

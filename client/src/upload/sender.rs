@@ -10,13 +10,13 @@ use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use prost::Message;
 use tokio::sync::watch;
 use tonic::Request;
-use tonic::transport::{Channel, Endpoint};
 use uuid::Uuid;
 
 use super::spool::{self, Spool};
 use super::{PreparedUpload, UploadProgress, UploaderOptions};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
+use crate::service::{CallerChannel, ServiceEndpoint};
 
 /// What goes wrong with one upload.
 enum Trouble {
@@ -26,7 +26,7 @@ enum Trouble {
 
 pub(super) struct Sender {
     pub spool: Arc<Spool>,
-    pub endpoint: Endpoint,
+    pub endpoint: ServiceEndpoint,
     pub options: UploaderOptions,
     pub progress: watch::Sender<UploadProgress>,
     /// Turns true when the uploader closes.
@@ -84,7 +84,11 @@ impl Sender {
     }
 
     /// Sends one upload and does with its file what the answer asks for.
-    async fn handle(&mut self, id: Uuid, client: &mut MappingServiceClient<Channel>) -> Result<(), Trouble> {
+    async fn handle(
+        &mut self,
+        id: Uuid,
+        client: &mut MappingServiceClient<CallerChannel>,
+    ) -> Result<(), Trouble> {
         let Some(upload) = self.on_disk(move |spool| spool.read(id)).await.map_err(Trouble::Spool)? else {
             self.advance(|p| p.damaged += 1);
             return Ok(());
@@ -114,7 +118,7 @@ impl Sender {
         }
     }
 
-    fn connect(&self) -> MappingServiceClient<Channel> {
+    fn connect(&self) -> MappingServiceClient<CallerChannel> {
         MappingServiceClient::new(self.endpoint.connect_lazy())
     }
 
@@ -153,7 +157,7 @@ pub(super) async fn on_disk<T: Send + 'static>(
 }
 
 async fn send(
-    client: &mut MappingServiceClient<Channel>,
+    client: &mut MappingServiceClient<CallerChannel>,
     upload: PreparedUpload,
     patience: Duration,
 ) -> Result<v1::UploadResponse, CallError> {

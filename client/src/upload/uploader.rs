@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use tonic::transport::Endpoint;
 
 use super::PreparedUpload;
 use super::sender::{Sender, on_disk};
 use super::spool::{self, Spool};
 use crate::backoff::BackoffPolicy;
+use crate::service::ServiceEndpoint;
 
 /// How patiently uploads are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,7 +95,7 @@ impl Uploader {
     ///
     /// Must be called within a tokio runtime.
     #[must_use]
-    pub fn start(endpoint: Endpoint, spool: Spool, options: UploaderOptions) -> Self {
+    pub fn start(endpoint: impl Into<ServiceEndpoint>, spool: Spool, options: UploaderOptions) -> Self {
         let spool = Arc::new(spool);
         let (stop, stopped) = watch::channel(false);
         let mut seen = UploadProgress::default();
@@ -103,7 +103,7 @@ impl Uploader {
         let progress = watch::Sender::new(seen);
         let sender = Sender {
             spool: Arc::clone(&spool),
-            endpoint,
+            endpoint: endpoint.into(),
             options,
             progress: progress.clone(),
             stop: stopped,

@@ -5,15 +5,25 @@ import 'maplibre-gl/dist/maplibre-gl.css';
 import './console.css';
 import { byId, calm, el, gathered } from './dom.js';
 import { addFixes, drawFixes, fixDetails, outline, tileDetails } from './fixes.js';
-import { LAYERS, addRadar, createMap, frame, refresh, showLayer } from './map.js';
-import { showFixes, showHealth, showProgress, showStream, showTotals, showUploads } from './panel.js';
+import { decide } from './decide.js';
+import { showHistory } from './history.js';
+import { LAYERS, addRadar, createMap, forgetBadView, frame, refresh, showEpoch, showLayer } from './map.js';
+import { showFixes, showHealth, showProgress, showStale, showStream, showTotals, showUploads } from './panel.js';
+import { addDifference, drawDifference, timeControls } from './past.js';
+import { addQuarantine, drawQuarantine, showQuarantine } from './quarantine.js';
+import { meant } from './search.js';
 import { ask, follow } from './service.js';
+import { tabs } from './tabs.js';
 
 const KEPT = 500;
+forgetBadView();
 // Asked before the map begins to write its view there.
 const framed = location.hash.includes('view=');
 const map = createMap();
-const state = { fixes: [], uploads: [], kept: [], layer: 'evidence', seen: undefined, framed };
+const state = {
+  fixes: [], uploads: [], kept: [], quarantine: { quarantined: 0, uploads: [], alarms: [] }, history: { events: [] },
+  layer: 'evidence', epoch: undefined, seen: undefined, framed, filter: '', whole: undefined,
+};
 
 // What is shown: the layer, its legend, the numbers.
 
@@ -37,9 +47,10 @@ async function describeLayer() {
 }
 
 async function loadMap() {
-  const answer = await ask('/api/v1/map');
-  showTotals(answer);
+  const [answer, then] = await Promise.all([ask('/api/v1/map'), state.epoch === undefined ? undefined : ask(`/api/v1/map?epoch=${state.epoch}`)]);
+  showTotals(then ?? answer);
   showProgress(answer);
+  state.whole = then ?? answer;
   if (!byId('legend').hasChildNodes()) await describeLayer();
   if (!state.framed && answer.bounds) {
     state.framed = true;
@@ -53,16 +64,111 @@ async function loadFeeds() {
   redraw();
 }
 
-const quietly = (work) => () => work().catch((error) => console.warn(error.message));
+async function loadDecisions() {
+  const [quarantine, past] = await Promise.all([ask('/api/v1/map/quarantine'), ask('/api/v1/map/history?limit=100')]);
+  Object.assign(state, { quarantine, history: past });
+  showQuarantine(quarantine, { go: goTo, revoke });
+  showHistory(past, { look, rollback, undo });
+  time.range(past);
+  drawQuarantine(map, quarantine);
+}
+
+// What is decided.
+
+const preview = (change) => drawDifference(map, change);
+
+async function decided(title, route, body) {
+  try {
+    if (await decide(title, route, body, { preview })) say('Decided. The map follows.');
+  } catch (error) {
+    say(error.message);
+  }
+  await loadDecisions();
+}
+
+const revoke = (body, title) => quietly(() => decided(title, 'revoke', body))();
+const rollback = (event) => quietly(() => decided(`Roll the map back to epoch ${event.last}?`, 'rollback', { epoch: event.last }))();
+const undo = (event) => quietly(() => decided(`Undo decision ${event.last}?`, 'undo', { decision: event.last }))();
+
+// The past.
+
+const time = timeControls(
+  quietly(async (epoch) => {
+    state.epoch = epoch;
+    showEpoch(map, epoch, state.layer);
+    await loadMap();
+  }),
+  quietly(async (epoch) => {
+    const change = epoch === undefined ? undefined : await ask(`/api/v1/map/diff?from=${epoch}&to=${state.history.newest}`);
+    drawDifference(map, change);
+  }),
+);
+
+const look = (epoch) => time.to(epoch);
+
+// The search.
+
+function say(text) {
+  byId('found').hidden = !text;
+  byId('found').textContent = text ?? '';
+}
+
+function goTo({ place }) {
+  if (place) map.easeTo({ center: [place.lon, place.lat], zoom: Math.max(map.getZoom(), 18), animate: !calm.matches });
+}
+
+async function find(text) {
+  const sought = meant(text);
+  say(undefined);
+  if (!sought) return;
+  if (sought.lat !== undefined) {
+    goTo({ place: sought });
+    await chooseAt({ lngLat: { lat: sought.lat, lng: sought.lon } });
+  } else if (sought.tile) {
+    const tile = await ask(`/api/v1/tiles/${sought.tile}${epochQuery()}`);
+    map.fitBounds([tile.corners[0], tile.corners[2]], { maxZoom: 19, animate: false });
+    showTile(tile.corners[2], tile);
+  } else {
+    findId(sought.id);
+  }
+}
+
+function findId(id) {
+  const kept = state.quarantine.uploads.find(({ upload_id, contributor }) => [upload_id, contributor].includes(id));
+  const upload = state.uploads.find(({ upload_id }) => upload_id === id);
+  if (kept) {
+    openPart('quarantine');
+    goTo(kept);
+    return say(`In quarantine: ${kept.reason.toLowerCase()}, epoch ${kept.epoch}.`);
+  }
+  const event = state.history.events.find(({ of, first, last }) => of === id || (upload?.epoch && upload.epoch >= first && upload.epoch <= last));
+  if (upload) return say(`Upload ${id}: ${upload.outcome.toLowerCase().replaceAll('_', ' ')}, epoch ${upload.epoch}.`);
+  if (event) {
+    openPart('history');
+    return say(`Decided about in epoch ${event.last}.`);
+  }
+  say('Nothing of this name is among the last uploads, in quarantine or in the history.');
+}
+
+const epochQuery = (before = '?') => (state.epoch === undefined ? '' : `${before}epoch=${state.epoch}`);
+
+function quietly(work) {
+  return (...args) => work(...args).catch((error) => {
+    console.warn(error.message);
+    say(error.message);
+  });
+}
 const redraw = gathered(() => {
   showFixes(state.fixes, choose);
-  showUploads(state.uploads);
+  showUploads(state.uploads, state.filter, openUpload);
   drawFixes(map, state.fixes);
 }, 120);
 const newMap = gathered(quietly(async () => {
-  await loadMap();
+  await Promise.all([loadMap(), loadDecisions()]);
   refresh(map, state.layer);
-}), 2000);
+}), 1000);
+
+const decisionsChanged = gathered(quietly(loadDecisions), 1000);
 
 // What is clicked: a fix, or a tile.
 
@@ -79,29 +185,55 @@ function choose(fix) {
   open(at, fixDetails(fix));
 }
 
+/** An upload of the feed: what is in quarantine lies somewhere. */
+function openUpload(upload) {
+  byId('sought').value = upload.upload_id;
+  findId(upload.upload_id);
+}
+
+function showTile(at, tile) {
+  open(at, tileDetails(tile));
+  outline(map, tile);
+}
+
+function near(point) {
+  if (!point) return undefined;
+  const around = [[point.x - 6, point.y - 6], [point.x + 6, point.y + 6]];
+  return map.queryRenderedFeatures(around, { layers: ['kept', 'fix'] })[0];
+}
+
 async function chooseAt({ point, lngLat }) {
-  const near = [[point.x - 6, point.y - 6], [point.x + 6, point.y + 6]];
-  const [hit] = map.queryRenderedFeatures(near, { layers: ['fix'] });
+  const hit = near(point);
+  if (hit?.layer.id === 'kept') {
+    openPart('quarantine');
+    return say(`In quarantine, epoch ${hit.properties.epoch}.`);
+  }
   if (hit) {
     const fix = state.fixes[hit.properties.index];
     return open([fix.longitude_deg, fix.latitude_deg], fixDetails(fix));
   }
   try {
-    const tile = await ask(`/api/v1/tiles/at?lat=${lngLat.lat.toFixed(7)}&lon=${lngLat.lng.toFixed(7)}`);
-    open(lngLat, tileDetails(tile));
-    outline(map, tile);
+    const tile = await ask(`/api/v1/tiles/at?lat=${lngLat.lat.toFixed(7)}&lon=${wrapped(lngLat.lng).toFixed(7)}${epochQuery('&')}`);
+    showTile(lngLat, tile);
   } catch (error) {
     popup?.remove();
     if (error.status !== 404) console.warn(error.message);
   }
 }
 
+/** A longitude of whichever copy of the world, from -180 to 180. */
+const wrapped = (lng) => ((((lng + 180) % 360) + 360) % 360) - 180;
+
 // What happens.
 
 map.once('load', () => {
   addRadar(map);
   addFixes(map);
+  addDifference(map);
+  addQuarantine(map);
   showLayer(map, state.layer);
+  drawQuarantine(map, state.quarantine);
+  document.body.dataset.ready = 'true';
   map.on('click', chooseAt);
   map.on('mouseenter', 'fix', () => (map.getCanvas().style.cursor = 'pointer'));
   map.on('mouseleave', 'fix', () => (map.getCanvas().style.cursor = ''));
@@ -121,8 +253,12 @@ follow({
     showStream('live');
     quietly(loadMap)();
     quietly(loadFeeds)();
+    quietly(loadDecisions)();
   },
-  lost: () => showStream('lost'),
+  lost() {
+    showStream('lost');
+    showStale();
+  },
   health: showHealth,
   map(progress) {
     showProgress(progress);
@@ -143,6 +279,7 @@ follow({
     state.kept = [event, ...state.kept].slice(0, 50);
     state.uploads = state.uploads.map(marked);
     redraw();
+    decisionsChanged();
   },
   missed: () => quietly(loadFeeds)(),
 });
@@ -154,5 +291,15 @@ byId('fold').addEventListener('click', ({ currentTarget }) => {
   const folded = byId('panel').classList.toggle('folded');
   currentTarget.setAttribute('aria-expanded', String(!folded));
 });
+byId('filter').addEventListener('change', ({ currentTarget }) => {
+  state.filter = currentTarget.value;
+  redraw();
+});
+byId('search').addEventListener('submit', (event) => {
+  event.preventDefault();
+  quietly(() => find(byId('sought').value))();
+});
+byId('fit').addEventListener('click', () => state.whole && frame(map, state.whole));
+const openPart = tabs((part) => part !== 'now' && quietly(loadDecisions)());
 const asked = new URLSearchParams(location.hash.slice(1)).get('layer');
 quietly(() => chooseLayer(LAYERS.includes(asked) ? asked : 'evidence'))();

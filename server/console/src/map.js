@@ -14,6 +14,18 @@ const GROUND = '#070b12';
 /** A map wider than this is shown at its densest part instead of as a whole, degrees. */
 const WIDE = 0.5;
 
+/** A link whose view is none is forgotten: the map then shows what there is. */
+export function forgetBadView() {
+  const hash = new URLSearchParams(location.hash.slice(1));
+  const view = hash.get('view');
+  if (view === null) return;
+  const [zoom, lat, lng, ...rest] = view.split('/').map((part) => (part.trim() === '' ? NaN : Number(part)));
+  const sane = zoom >= 0 && zoom <= 24 && Math.abs(lat) <= 90 && Math.abs(lng) <= 720 && rest.every(Number.isFinite);
+  if (sane) return;
+  hash.delete('view');
+  history.replaceState(null, '', `#${hash}`);
+}
+
 export function createMap() {
   const map = new Map({
     container: 'map',
@@ -46,7 +58,7 @@ export function addRadar(map) {
   for (const layer of LAYERS) {
     map.addSource(layer, {
       type: 'raster',
-      tiles: [`${location.origin}/tiles/${layer}/{z}/{x}/{y}{ratio}.png`],
+      tiles: [address(layer)],
       tileSize: 256,
       minzoom: FROM_ZOOM[layer],
       maxzoom: 22,
@@ -68,6 +80,15 @@ export function showLayer(map, shown) {
   }
 }
 
+/** The map as it was at an epoch; undefined for now. */
+export function showEpoch(map, epoch, shown) {
+  const query = epoch === undefined ? '' : `?epoch=${epoch}`;
+  for (const layer of LAYERS) map.getSource(layer)?.setTiles([address(layer, query)]);
+  refresh(map, shown);
+}
+
+const address = (layer, query = '') => `${location.origin}/tiles/${layer}/{z}/{x}/{y}{ratio}.png${query}`;
+
 /** Asks again for the tiles in view; unchanged ones cost a short answer. */
 export function refresh(map, shown) {
   for (const layer of LAYERS) if (layer === shown) map.refreshTiles(layer);
@@ -76,7 +97,9 @@ export function refresh(map, shown) {
 /** Goes where there is something to see, unless the address says where to look. */
 export function frame(map, { bounds, center }) {
   if (!bounds) return;
-  const [west, south, east, north] = bounds;
+  const [west, south, eastward, north] = bounds;
+  // Across the date line a box ends in the next world.
+  const east = eastward < west ? eastward + 360 : eastward;
   const panel = byId('panel').getBoundingClientRect();
   const beside = matchMedia('(min-width: 48rem)').matches;
   const padding = beside

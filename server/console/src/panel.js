@@ -41,6 +41,14 @@ export function showHealth({ ready, reason, uploading }) {
   alert.textContent = !reason ? '' : ready ? `Not all is well: ${reason}` : `Not ready: ${reason}`;
 }
 
+/** Nothing is heard of the service: what was said before may no longer hold. */
+export function showStale() {
+  chip(byId('ready'), 'unknown', 'wait');
+  const alert = byId('alert');
+  alert.hidden = false;
+  alert.textContent = 'The service does not answer. What is shown is as it was last heard.';
+}
+
 export function showStream(state) {
   const [text, tone] = { live: ['live', 'good'], lost: ['reconnecting', 'bad'] }[state];
   chip(byId('stream'), text, tone);
@@ -112,13 +120,17 @@ function key(fixes) {
   byId('verdicts').replaceChildren(...families.map(entry).filter(Boolean));
 }
 
-/** `uploads` newest first. */
-export function showUploads(uploads) {
+const isOf = (filter) => ({ outcome }) =>
+  !filter || (filter === 'REFUSED' ? !['COUNTED', 'QUARANTINED', 'DUPLICATE'].includes(outcome) : outcome === filter);
+
+/** `uploads` newest first, of which those of an outcome are shown; `choose` is called with one. */
+export function showUploads(all, filter, choose) {
+  const uploads = all.filter(isOf(filter));
   const tone = (outcome) => ({ COUNTED: 'good', DUPLICATE: 'wait' })[outcome] ?? 'bad';
   const row = (upload) =>
     el(
-      'li', { title: upload.upload_id },
-      el('div', {},
+      'li', {},
+      el('button', { type: 'button', title: upload.upload_id, onclick: () => choose(upload) },
         el('i', { className: 'dot', data: { tone: tone(upload.outcome) } }),
         el('b', { textContent: words(upload.outcome) }),
         el('span', { textContent: upload.kept ? whyKept(upload.kept) : '' }),
@@ -128,7 +140,7 @@ export function showUploads(uploads) {
         el('time', { textContent: ago(upload.answered_us) }),
       ),
     );
-  const none = el('li', { className: 'none', textContent: 'None since the service started.' });
+  const none = el('li', { className: 'none', textContent: filter ? 'None of these since the service started.' : 'None since the service started.' });
   fill(byId('uploads'), uploads.length ? uploads.slice(0, SHOWN_UPLOADS).map(row) : [none]);
 }
 

@@ -1,19 +1,35 @@
 // What the service sends: its answers, and the stream of what happens.
 
-/** JSON of an address; throws the service's own words. */
-export async function ask(path) {
-  const response = await fetch(path, { headers: { accept: 'application/json' } });
+/** Called when the service asks who is there; a page that can sign in sets it. Resolves once it makes sense to ask again. */
+let signIn;
+export const onSignIn = (show) => (signIn = show);
+
+/** Every request of the page goes this way. JSON of an address; throws the service's own words. */
+async function call(path, options = {}) {
+  const headers = { accept: 'application/json', ...options.headers };
+  let response = await fetch(path, { ...options, headers });
+  if (response.status === 401 && signIn) {
+    await signIn(response);
+    response = await fetch(path, { ...options, headers });
+  }
   const body = await response.json().catch(() => undefined);
   if (response.ok) return body;
   const message = body?.error?.message ?? `${path} answered ${response.status}`;
   throw Object.assign(new Error(message), { status: response.status });
 }
 
-const KINDS = ['fix', 'upload', 'quarantine', 'map', 'health', 'missed'];
-const LONGEST_WAIT_MS = 15_000;
+export const ask = (path) => call(path);
+
+export const post = (path, body) =>
+  call(path, { method: 'POST', headers: { 'content-type': 'application/json' }, body: JSON.stringify(body) });
+
+const KINDS = ['fix', 'upload', 'quarantine', 'map', 'health', 'missed', 'alive'];
+const LONGEST_WAIT_MS = 5_000;
+/** The service says something every two seconds; after this long without a word nothing that is shown can be relied on. */
+const SILENT_MS = 4_500;
 
 /**
- * Follows the event stream and takes it up again when it breaks.
+ * Follows the event stream and takes it up again when it breaks or falls silent.
  *
  * `on` maps the kinds of events to functions; `on.open` is called on every (re)connection, so that
  * what was missed can be asked for, `on.lost` when the stream breaks.
@@ -22,19 +38,31 @@ export function follow(on) {
   let failures = 0;
   const connect = () => {
     const source = new EventSource('/api/v1/events');
-    source.onopen = () => {
-      failures = 0;
-      on.open();
+    let silence;
+    const heard = () => {
+      clearTimeout(silence);
+      silence = setTimeout(lost, SILENT_MS);
     };
-    for (const kind of KINDS) {
-      source.addEventListener(kind, ({ data }) => on[kind]?.(JSON.parse(data)));
-    }
-    source.onerror = () => {
+    const lost = () => {
+      clearTimeout(silence);
       source.close();
       failures += 1;
       on.lost();
       setTimeout(connect, Math.min(1000 * 2 ** (failures - 1), LONGEST_WAIT_MS));
     };
+    heard();
+    source.onopen = () => {
+      failures = 0;
+      heard();
+      on.open();
+    };
+    for (const kind of KINDS) {
+      source.addEventListener(kind, ({ data }) => {
+        heard();
+        on[kind]?.(data ? JSON.parse(data) : undefined);
+      });
+    }
+    source.onerror = lost;
   };
   connect();
 }

@@ -4,6 +4,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
 use crate::grpc::INTEGRITY_RISKS;
+use crate::identity;
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 
@@ -30,6 +31,7 @@ impl Config {
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
             return Err(Error::OutOfRange { key, rule });
         }
+        identity::check(&self.tls, &self.identity, &[])?;
         let filter = EnvFilter::builder().parse(&self.log.filter);
         let refused = |error: &dyn std::fmt::Display| Error::Malformed {
             origin: "`log.filter`".to_owned(),

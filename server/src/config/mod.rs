@@ -11,6 +11,7 @@ use std::time::Duration;
 use echofix_core::vetting::alarm::AlarmLimits;
 use serde::{Deserialize, Serialize};
 
+use crate::identity::{self, Gate, IdentityConfig, TlsConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 use crate::pace::Pace;
@@ -49,6 +50,9 @@ pub enum Error {
         /// What may have been meant.
         hint: String,
     },
+    /// Nobody can be let in as configured.
+    #[error(transparent)]
+    Identity(#[from] identity::Error),
     /// A value outside its range.
     #[error("`{key}` {rule}")]
     OutOfRange {
@@ -59,6 +63,14 @@ pub enum Error {
     },
 }
 
+impl Error {
+    /// Is it that nothing says who may do what, on a port that others reach? The program's exit code tells it apart.
+    #[must_use]
+    pub fn is_missing_identity(&self) -> bool {
+        matches!(self, Self::Identity(error) if error.is_missing())
+    }
+}
+
 /// Everything that can be configured; `echofix.toml` documents each key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -67,6 +79,10 @@ pub struct Config {
     pub grpc: ListenConfig,
     /// The HTTP port, for operators.
     pub http: HttpConfig,
+    /// What encrypts both ports.
+    pub tls: TlsConfig,
+    /// Who is let in.
+    pub identity: IdentityConfig,
     /// The data directory and its sizes.
     pub store: StoreConfig,
     /// What holds for uploads and requests alike.
@@ -270,6 +286,14 @@ impl Config {
             }
         }
         Ok(config)
+    }
+
+    /// Who is let in, for the ports of this configuration. Reads the files that it names.
+    ///
+    /// # Errors
+    /// When others reach a port and nobody is asked, or a file cannot be used.
+    pub fn gate(&self) -> Result<Gate, identity::Error> {
+        Gate::of(&self.tls, &self.identity, &[self.grpc.listen, self.http.listen])
     }
 
     /// The configuration in force, as TOML.

@@ -3,10 +3,12 @@
 //! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
 //! - [`admission`]: what no slot could take is refused on its headers.
+//! - [`access`]: who calls, and whether they may.
 //! - [`faults`]: what the transport could not read is the caller's fault.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.
 
+mod access;
 mod admission;
 pub mod decode;
 mod faults;
@@ -32,6 +34,7 @@ use crate::patience::Patience;
 use crate::shares::{Peer, Place, Pool};
 use crate::store::MapStore;
 use crate::trace::in_current_span;
+pub use access::AccessLayer;
 pub use admission::AdmissionLayer;
 pub use faults::FaultsLayer;
 pub use localize::{INTEGRITY_RISKS, LocalizationApi};
@@ -120,9 +123,10 @@ impl v1::mapping_service_server::MappingService for MappingApi {
         &self,
         request: Request<Streaming<v1::UploadRequest>>,
     ) -> Result<Response<v1::UploadResponse>, Status> {
+        let caller = access::caller(request.extensions())?;
         let (this, peer, messages) = (self.clone(), peer(request.extensions()), request.into_inner());
         // Messages are unpacked where they are awaited.
-        let call = async move { this.receive(messages, peer).await };
+        let call = async move { this.receive(messages, peer, &caller).await };
         run_on(&self.lanes().background, call).await.map(Response::new)
     }
 }

@@ -82,6 +82,13 @@ pub fn failed(message: &'static str) -> Status {
     Status::with_error_details(Code::Internal, message, details)
 }
 
+/// `UNAUTHENTICATED` or `PERMISSION_DENIED` with `google.rpc.ErrorInfo`: who asks may not.
+#[must_use]
+pub fn denied(code: Code, reason: &'static str, message: impl Display) -> Status {
+    let details = ErrorDetails::with_error_info(reason, DOMAIN, HashMap::new());
+    Status::with_error_details(code, message.to_string(), details)
+}
+
 /// Nobody waits for the answer any more.
 #[must_use]
 pub fn gone() -> Status {

@@ -22,6 +22,7 @@ use uuid::Uuid;
 use super::invalid_field::InvalidField;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
+use crate::identity::Caller;
 use crate::lanes::Lanes;
 use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
@@ -73,13 +74,14 @@ impl MappingApi {
         &self,
         requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
         peer: Peer,
+        caller: &Caller,
     ) -> Result<UploadResponse, Status> {
         let place = self.receiving.take(peer).ok_or_else(|| self.shed("too many uploads at once"))?;
         let progress = *self.store.progress().borrow();
         if progress.journaled.saturating_sub(progress.epoch) > self.config.max_unfolded {
             return Err(self.shed("uploads wait to be folded"));
         }
-        let received = receive::all(requests, &self.config).await;
+        let received = receive::all(requests, &self.config, caller).await;
         let received = received.inspect_err(|_| self.count("INVALID"))?;
         let began = Instant::now();
         // Only now: it is held for as long as work takes, whatever the caller does.

@@ -5,8 +5,8 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
+use axum::extract::{Extension, State};
 use axum::response::Response;
 use serde::Deserialize;
 use serde_json::json;
@@ -16,8 +16,9 @@ use super::App;
 use super::catalog::progress_json;
 use super::day::parse_date;
 use super::error::Error;
-use super::operations::{decision, diffs_json, fresh};
+use super::operations::{audit, decision, diffs_json, fresh};
 use super::quarantine::parse_hash;
+use crate::identity::Caller;
 use crate::store::{Contributor, LONGEST_REMARK, Preview, Proposal, Remark};
 
 /// What is rolled back to.
@@ -33,10 +34,11 @@ pub struct RollbackBody {
 /// `POST /api/v1/map/rollback`
 pub async fn rollback(
     State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<RollbackBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(RollbackBody { epoch, reason, dry_run }) = body?;
-    decided(&app, Proposal::Rollback(epoch), reason, dry_run).await
+    decided(&app, &caller, Proposal::Rollback(epoch), reason, dry_run).await
 }
 
 /// What is revoked: one of the first three.
@@ -57,6 +59,7 @@ pub struct RevokeBody {
 /// `POST /api/v1/map/revoke`
 pub async fn revoke(
     State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<RevokeBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(RevokeBody { contributor, contributor_hash, upload, reason, dry_run }) = body?;
@@ -80,7 +83,7 @@ pub async fn revoke(
             ));
         }
     };
-    decided(&app, proposal, reason, dry_run).await
+    decided(&app, &caller, proposal, reason, dry_run).await
 }
 
 /// What is undone.
@@ -97,10 +100,11 @@ pub struct UndoBody {
 /// `POST /api/v1/map/undo`: a rollback, a revocation or an undoing
 pub async fn undo(
     State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<UndoBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(UndoBody { decision, reason, dry_run }) = body?;
-    decided(&app, Proposal::Undo(decision), reason, dry_run).await
+    decided(&app, &caller, Proposal::Undo(decision), reason, dry_run).await
 }
 
 /// What is compacted.
@@ -117,17 +121,19 @@ pub struct CompactBody {
 /// `POST /api/v1/map/compact`, formerly `/api/v1/map/settle`
 pub async fn compact(
     State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<CompactBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(CompactBody { before, reason, dry_run }) = body?;
     let malformed = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
     let day = parse_date(&before).ok_or_else(malformed)?;
-    decided(&app, Proposal::Compact(day), reason, dry_run).await
+    decided(&app, &caller, Proposal::Compact(day), reason, dry_run).await
 }
 
 /// A decision's epoch, absent when there was nothing to decide, and how far the map is; or what it would change.
 async fn decided(
     app: &App,
+    caller: &Caller,
     proposal: Proposal,
     reason: Option<String>,
     dry_run: bool,
@@ -142,9 +148,22 @@ async fn decided(
         let preview = decision(app, move |operations| Ok(operations.preview(&proposal)?)).await?;
         return Ok(fresh(json!({ "dry_run": preview_json(&preview, undoable), "map": map() })));
     }
-    let remark = Remark { by: None, reason };
+    let (what, why) = (in_words(&proposal), reason.clone());
+    let remark = Remark { by: caller.is_known().then(|| caller.to_string()), reason };
     let epoch = decision(app, move |operations| Ok(operations.decide(&proposal, &remark)?)).await?;
+    audit(caller, &what, why.as_deref(), epoch);
     Ok(fresh(json!({ "epoch": epoch, "map": map() })))
+}
+
+/// A decision for the log, which names no contributor.
+fn in_words(proposal: &Proposal) -> String {
+    match proposal {
+        Proposal::RevokeContributor(_) => "revoke a contributor".to_owned(),
+        Proposal::RevokeUpload(id) => format!("revoke upload {id}"),
+        Proposal::Rollback(epoch) => format!("roll back to epoch {epoch}"),
+        Proposal::Undo(decision) => format!("undo decision {decision}"),
+        Proposal::Compact(day) => format!("compact what came before day {day}"),
+    }
 }
 
 fn preview_json(preview: &Preview, undoable: bool) -> serde_json::Value {

@@ -8,6 +8,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
+use crate::identity::Refusal;
 use crate::locating::NotAssessed;
 use crate::pace::TooSlow;
 use crate::sparse;
@@ -36,6 +37,9 @@ pub enum Error {
         "a page of another origin asks for this; use the console of this port, or the command `echofix map`"
     )]
     WrongOrigin,
+    /// Who asks is not known, or may not.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
     /// It is work, which no GET starts.
     #[error("{0} is work: ask for it with POST")]
     PostOnly(&'static str),
@@ -79,6 +83,9 @@ impl Error {
             Self::MethodNotAllowed | Self::PostOnly(_) => StatusCode::METHOD_NOT_ALLOWED,
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
             Self::WrongOrigin => StatusCode::FORBIDDEN,
+            Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
+            Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
+            Self::Refused(Refusal::NotServed) => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
@@ -100,6 +107,9 @@ impl Error {
             Self::MethodNotAllowed | Self::PostOnly(_) => "method_not_allowed",
             Self::WrongHost => "wrong_host",
             Self::WrongOrigin => "wrong_origin",
+            Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
+            Self::Refused(Refusal::Forbidden { .. }) => "role_missing",
+            Self::Refused(Refusal::NotServed) => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
             Self::TooSlow(_) => "too_slow",
@@ -128,6 +138,10 @@ impl IntoResponse for Error {
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        if status == StatusCode::UNAUTHORIZED {
+            let challenge = HeaderValue::from_static("Bearer realm=\"echofix\"");
+            headers.insert(header::WWW_AUTHENTICATE, challenge);
+        }
         // Which methods a route has, the router says itself.
         if status == StatusCode::SERVICE_UNAVAILABLE {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use axum::Json;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, Request, State};
+use axum::extract::{Extension, Query, Request, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
@@ -26,10 +26,12 @@ use tokio_stream::wrappers::ReceiverStream;
 
 use super::App;
 use super::error::Error;
-use super::operations::decision;
+use super::meridians::Meridians;
+use super::operations::{audit, decision};
 use super::raster::corners;
 use super::region_days::DatedRegion;
 use crate::grpc::now_us;
+use crate::identity::Caller;
 use crate::pace::{Ahead, Pace, TooSlow};
 use crate::shares::Peer;
 use crate::store::{self, MapStore, Operations, Region};
@@ -70,7 +72,12 @@ pub async fn export(
 }
 
 /// `GET /api/v1/map/backup`
-pub async fn backup(State(app): State<Arc<App>>, peer: Peer) -> Result<Response, Error> {
+pub async fn backup(
+    State(app): State<Arc<App>>,
+    peer: Peer,
+    Extension(caller): Extension<Arc<Caller>>,
+) -> Result<Response, Error> {
+    audit(&caller, "take a backup", None, None);
     streamed((&app, peer), "application/x-tar", "echofix-backup.tar", |operations, out| {
         operations.backup(out)
     })
@@ -79,7 +86,12 @@ pub async fn backup(State(app): State<Arc<App>>, peer: Peer) -> Result<Response,
 /// `POST /api/v1/map/import`
 ///
 /// The file is received whole before the map hears of it: at its sender's pace it holds no permit but its own.
-pub async fn import(State(app): State<Arc<App>>, peer: Peer, request: Request) -> Result<Response, Error> {
+pub async fn import(
+    State(app): State<Arc<App>>,
+    peer: Peer,
+    Extension(caller): Extension<Arc<Caller>>,
+    request: Request,
+) -> Result<Response, Error> {
     // A page elsewhere may not send this type without being allowed to.
     if request.headers().get(header::CONTENT_TYPE).is_none_or(|kind| kind != BINARY) {
         return Err(Error::BadRequest(format!("send the file as {BINARY}")));
@@ -96,6 +108,7 @@ pub async fn import(State(app): State<Arc<App>>, peer: Peer, request: Request) -
         }
     });
     let imported = imported.await?;
+    audit(&caller, &format!("import file {}", imported.file), None, Some(imported.epoch));
     let body = json!({
         "file": imported.file.to_string(),
         "tiles": imported.tiles,
@@ -203,7 +216,8 @@ impl Write for BodyWriter {
 fn bounds(text: &str) -> Result<[f64; 4], Error> {
     let malformed = || {
         Error::BadRequest(
-            "box must be west,south,east,north in degrees, not crossing the date line".to_owned(),
+            "box must be west,south,east,north in degrees; across the date line, west is the larger one"
+                .to_owned(),
         )
     };
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
@@ -213,23 +227,22 @@ fn bounds(text: &str) -> Result<[f64; 4], Error> {
         && (-180.0..=180.0).contains(&east)
         && (-90.0..=90.0).contains(&south)
         && (-90.0..=90.0).contains(&north);
-    if sound && west <= east && south <= north { Ok(bounds) } else { Err(malformed()) }
+    if sound && south <= north { Ok(bounds) } else { Err(malformed()) }
 }
 
 /// The tiles that touch a box.
 fn inside(store: &dyn MapStore, [west, south, east, north]: [f64; 4]) -> Result<Vec<TileId>, Error> {
     let all = i32::MIN..=i32::MAX;
+    let meridians = Meridians::between(west, east);
     let mut tiles = Vec::new();
     for zone in store.zones() {
         let grid = Grid::new(zone)?;
         for info in store.catalog(zone, all.clone(), all.clone())? {
             let corners = corners(&grid, [info.id.x, info.id.y], [info.id.x, info.id.y])?;
-            let span = |of: fn(&echofix_core::geo::LatLon) -> f64| {
-                let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
-                (low, corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max))
-            };
-            let (lat, lon) = (span(|at| at.lat_deg), span(|at| at.lon_deg));
-            if lat.1 >= south && lat.0 <= north && lon.1 >= west && lon.0 <= east {
+            let lowest = corners.iter().map(|at| at.lat_deg).fold(f64::INFINITY, f64::min);
+            let highest = corners.iter().map(|at| at.lat_deg).fold(f64::NEG_INFINITY, f64::max);
+            let across = Meridians::around(corners.map(|at| Meridians::between(at.lon_deg, at.lon_deg)));
+            if highest >= south && lowest <= north && across.is_some_and(|across| across.meets(meridians)) {
                 tiles.push(info.id);
             }
         }
@@ -264,7 +277,9 @@ mod tests {
     #[tokio::test]
     async fn a_box_is_checked_and_cuts() {
         let site = StoredSite::with_uploads(5).await;
-        for (area, status) in [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 400), ("0,NaN,1,1", 400)] {
+        for (area, status) in
+            [("0,0,1,1", 404), ("1,2,3", 400), ("9,0,8,1", 404), ("9,1,8,0", 400), ("0,NaN,1,1", 400)]
+        {
             assert_eq!(site.get(&format!("/api/v1/map/export?box={area}")).await.status(), status, "{area}");
         }
         let whole = bytes_of(site.get("/api/v1/map/export").await).await;

@@ -69,13 +69,18 @@ pub async fn tilejson(
         "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", origin(&headers))],
         "minzoom": layer.min_zoom(),
         "maxzoom": MAX_ZOOM,
-        "bounds": overview.bounds().unwrap_or(WORLD),
+        "bounds": overview.bounds().map_or(WORLD, in_one_world),
         "center": overview.center().map(|[lon, lat]| json!([lon, lat, 16])),
         "attribution": "Echofix radar map",
         "vector_layers": [],
         "legend": legend(layer),
     });
     Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
+}
+
+/// Bounds as readers of `TileJSON` take them, who know no box across the date line: all around the globe then.
+fn in_one_world([west, south, east, north]: [f64; 4]) -> [f64; 4] {
+    if west <= east { [west, south, east, north] } else { [-180.0, south, 180.0, north] }
 }
 
 /// `http://host:port` as the client reached us, or nothing: then addresses are relative.

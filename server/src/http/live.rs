@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::header;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -18,9 +18,12 @@ use tokio_stream::{Stream, StreamExt};
 
 use super::error::Error;
 use super::{App, catalog, probes};
+use crate::identity::{Caller, Role};
 use crate::shares::Peer;
 
 const MAX_LIMIT: usize = 500;
+/// How often a listener hears something, at least.
+const ALIVE: Duration = Duration::from_secs(2);
 
 /// `?limit=`
 #[derive(Deserialize)]
@@ -56,10 +59,16 @@ fn fresh(body: serde_json::Value) -> Response {
     ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }
 
-/// `GET /api/v1/events`, until the listener leaves or the service drains
-pub async fn events(State(app): State<Arc<App>>, peer: Peer) -> Result<impl IntoResponse, Error> {
+/// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only
+/// operators are told of them.
+pub async fn events(
+    State(app): State<Arc<App>>,
+    peer: Peer,
+    Extension(caller): Extension<Arc<Caller>>,
+) -> Result<impl IntoResponse, Error> {
     let permit = app.limiter.listen(peer)?;
     let feed = &app.state.feed;
+    let sees_fixes = caller.may(Role::Operator);
     let map =
         WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));
     let progress = app.state.store.progress();
@@ -67,7 +76,7 @@ pub async fn events(State(app): State<Arc<App>>, peer: Peer) -> Result<impl Into
         .map(move |now| event("health", &probes::readiness_json(&now, &progress.borrow())));
     let stream = map
         .merge(health)
-        .merge(feed_events("fix", feed.fixes.subscribe()))
+        .merge(feed_events("fix", feed.fixes.subscribe()).filter(move |_| sees_fixes))
         .merge(feed_events("upload", feed.uploads.subscribe()))
         .merge(feed_events("quarantine", feed.quarantined.subscribe()))
         .map(Some);
@@ -77,7 +86,9 @@ pub async fn events(State(app): State<Arc<App>>, peer: Peer) -> Result<impl Into
         let _held = &permit;
         event.map(Ok::<_, Infallible>)
     });
-    let sse = Sse::new(stream).keep_alive(KeepAlive::new().interval(Duration::from_secs(15)));
+    // An event and no comment: a page does not hear comments, and shall notice when nobody speaks any more.
+    let alive = KeepAlive::new().interval(ALIVE).event(Event::default().event("alive").data(""));
+    let sse = Sse::new(stream).keep_alive(alive);
     Ok(([("x-accel-buffering", "no")], sse))
 }
 
@@ -134,6 +145,14 @@ mod tests {
             "starting",
         ];
         read_until(response.into_body(), &wanted).await;
+    }
+
+    /// Catches: a page that cannot tell a silent service from a dead one.
+    #[tokio::test]
+    async fn a_listener_hears_that_the_service_lives() {
+        let site = TestSite::default();
+        let body = site.get("/api/v1/events").await.into_body();
+        read_until(body, &["event: health", "event: alive"]).await;
     }
 
     #[tokio::test]

@@ -1,5 +1,7 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
+//! - `access`: who asks, and whether they may.
+//! - `session`: browsers sign in and out.
 //! - `error`: why a request was not answered, said once.
 //! - `origin`: which names the port answers to, and which pages may change anything.
 //! - `limits`: what one request or many may cost.
@@ -13,11 +15,13 @@
 //! - `files`: regions out and in, backups.
 //! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
+//! - `meridians`: intervals of longitudes.
 //! - `layers`: map tiles and their `TileJSON`.
 //! - `raster`: how a map tile is drawn.
 //! - `openapi`: the description of all this.
 //! - `console`: the page an operator looks at.
 
+mod access;
 mod catalog;
 mod console;
 mod day;
@@ -28,6 +32,7 @@ mod files;
 mod layers;
 mod limits;
 mod live;
+mod meridians;
 mod openapi;
 mod operations;
 mod origin;
@@ -36,6 +41,7 @@ mod probes;
 mod quarantine;
 mod raster;
 mod region_days;
+mod session;
 #[cfg(test)]
 pub(crate) mod testing;
 
@@ -50,6 +56,7 @@ use tokio::sync::watch;
 
 use crate::feed::Feed;
 use crate::health::Health;
+use crate::identity::Gate;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
@@ -89,24 +96,26 @@ struct App {
     artist: Arc<raster::Artist>,
     past: past::PastMaps,
     limiter: limits::Limiter,
+    gate: Arc<Gate>,
 }
 
-/// The routes, whatever name they are asked for by.
+/// The routes, whatever name they are asked for by, and by whomever.
 pub fn router(state: HttpState) -> Router {
-    router_at(state, Hosts::any())
+    router_at(state, Hosts::any(), Arc::new(Gate::open()))
 }
 
 /// The routes of a port, ready to be served.
-pub fn router_at(state: HttpState, hosts: Hosts) -> Router {
+pub fn router_at(state: HttpState, hosts: Hosts, gate: Arc<Gate>) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let (past, limiter) = (past::PastMaps::default(), limits::Limiter::of_port(state.address_share));
-    let app = Arc::new(App { state, artist, past, limiter });
+    let app = Arc::new(App { state, artist, past, limiter, gate });
     routes()
         .into_iter()
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
+        .layer(from_fn_with_state(Arc::clone(&app), access::guard))
         .layer(from_fn_with_state(Arc::new(hosts), origin::guard))
         .layer(from_fn(limits::guard))
         .layer(RequestSpanLayer::http())
@@ -147,6 +156,7 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/fixes", get(live::fixes)),
         ("/api/v1/uploads", get(live::uploads)),
         ("/api/v1/events", get(live::events)),
+        ("/session", get(session::who).post(session::sign_in).delete(session::sign_out)),
         ("/openapi.json", get(openapi::document)),
         ("/", get(console::page)),
         ("/assets/{name}", get(console::asset)),

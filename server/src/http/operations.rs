@@ -16,6 +16,7 @@ use super::day::iso_date;
 use super::error::Error;
 use super::quarantine::hash_word;
 use super::raster::corners;
+use crate::identity::Caller;
 use crate::shares::Peer;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, TileDiff};
 use crate::trace::in_current_span;
@@ -150,6 +151,11 @@ pub async fn verify(
         "compared": found.compared,
         "damage": found.damage,
     })))
+}
+
+/// Every decision is told in the log: who took it, how that is known, from where, what it is, and why.
+pub(super) fn audit(caller: &Caller, what: &str, why: Option<&str>, epoch: Option<u64>) {
+    tracing::info!(target: "echofix_server::audit", %caller, what, why, epoch, "decided");
 }
 
 /// Runs blocking work under a permit of its own kind: it may take long, and pictures must not wait for it.

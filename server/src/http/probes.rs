@@ -27,7 +27,9 @@ pub async fn readyz(State(app): State<Arc<App>>) -> impl IntoResponse {
     let readiness = app.state.health.get();
     let ready = readiness.localizing.is_ready();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let body = readiness_json(&readiness, &app.state.store.progress().borrow());
+    let mut body = readiness_json(&readiness, &app.state.store.progress().borrow());
+    // Told wherever somebody looks: it is meant, or a mistake.
+    body["anonymous"] = app.gate.anonymous().map(|roles| roles.to_string()).into();
     (status, [(header::CACHE_CONTROL, "no-store")], Json(body))
 }
 

@@ -3,6 +3,7 @@
 
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -14,7 +15,7 @@ use tonic::Status;
 use tonic::body::Body;
 use tower::{Layer, Service};
 
-use super::connections::{ConnectionUse, InUse};
+use super::connections::{InUse, Origin};
 use super::ended;
 use crate::grpc::status;
 use crate::pace::{Pace, PacedBody, TooSlow};
@@ -73,14 +74,15 @@ where
 
     fn call(&mut self, request: Request<Body>) -> Self::Future {
         let CallsLayer { pace, ending } = self.frame.clone();
-        let connection = request.extensions().get::<ConnectionUse>().cloned();
-        let held = connection.as_ref().map(ConnectionUse::begin);
+        let connection = request.extensions().get::<Origin>().cloned();
+        let held = connection.as_ref().map(|origin| origin.used.begin());
         let path = request.uri().path();
         let pace = (!AT_LEISURE.contains(&path)).then_some(pace);
         let end = WITHOUT_END.contains(&path).then(|| ending.clone());
         let mut request = request.map(|body| Body::new(PacedBody::new(body, pace, ending).told(too_slow)));
         if let Some(connection) = connection {
-            request.extensions_mut().insert(connection.peer());
+            request.extensions_mut().insert(connection.used.peer());
+            request.extensions_mut().insert(Arc::clone(connection.peer()));
         }
         let answer = self.inner.call(request);
         Box::pin(async move { Ok(answer.await?.map(|body| Body::new(AnswerBody::new(body, held, end)))) })

@@ -1,15 +1,17 @@
 //! Which connections are let in, and for how long they may say nothing.
 
+mod door;
 mod frames;
 mod registry;
 
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::futures::OwnedNotified;
 use tokio::sync::mpsc;
 use tokio::time::{Sleep, sleep};
@@ -17,8 +19,11 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 
 use crate::config::LimitsConfig;
+use crate::identity::{self, Closing};
 use crate::shares::Peer;
 use crate::sparse;
+pub(super) use door::Door;
+use door::{Opened, Stream};
 use frames::FrameCount;
 pub(super) use registry::{ConnectionUse, InUse};
 use registry::{Entry, Registry};
@@ -32,12 +37,13 @@ pub(super) struct Acceptor {
     registry: Registry,
     handshake: Duration,
     idle: Duration,
+    door: Door,
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig) -> Self {
+    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door) -> Self {
         let registry = Registry::new(limits.connections, limits.address_share);
-        Self { listener, registry, handshake: limits.handshake(), idle: limits.idle() }
+        Self { listener, registry, handshake: limits.handshake(), idle: limits.idle(), door }
     }
 
     /// The connections from now on, until the receiver is dropped.
@@ -45,12 +51,9 @@ impl Acceptor {
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {
             loop {
-                let connection = tokio::select! {
-                    connection = self.next() => connection,
+                tokio::select! {
+                    () = self.next(&sender) => {}
                     () = sender.closed() => break,
-                };
-                if sender.send(connection).await.is_err() {
-                    break;
                 }
             }
             self.registry.close_silent();
@@ -58,10 +61,10 @@ impl Acceptor {
         ReceiverStream::new(receiver)
     }
 
-    /// The next connection there is room for; others are closed at once.
-    async fn next(&self) -> Connection {
+    /// Lets the next connection in that there is room for; others are closed at once. TLS keeps nobody else waiting.
+    async fn next(&self, sender: &mpsc::Sender<Connection>) {
         loop {
-            let (stream, from) = match self.listener.accept().await {
+            let (stream, address) = match self.listener.accept().await {
                 Ok(accepted) => accepted,
                 Err(error) => {
                     if let Some(left_out) = sparse::line("a connection could not be accepted") {
@@ -72,45 +75,84 @@ impl Acceptor {
                 }
             };
             let now = Instant::now();
-            let used = ConnectionUse::new(Peer::at(from.ip()), now);
-            let Some(entry) = self.registry.enter(&used, now) else {
+            let used = ConnectionUse::new(Peer::at(address.ip()), now);
+            let Some(place) = self.registry.enter(&used, now) else {
                 tracing::debug!("closed a connection: too many");
                 continue;
             };
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
-            let deadline = Box::pin(sleep(self.handshake));
-            let (frames, closing) = (FrameCount::new(now), Box::pin(used.closing()));
-            return Connection { stream, deadline, idle: self.idle, used, closing, frames, _entry: entry };
+            let mut deadline = Box::pin(sleep(self.handshake));
+            let (door, sender, idle) = (self.door.clone(), sender.clone(), self.idle);
+            tokio::spawn(async move {
+                let opened = tokio::select! {
+                    opened = door.open(stream, address) => opened,
+                    () = &mut deadline => None,
+                };
+                let Some(Opened { stream, entry, closing }) = opened else { return };
+                let frames = FrameCount::new(Instant::now());
+                let making_room = Box::pin(used.closing());
+                let origin = Origin { used, entry: Arc::new(entry) };
+                let connection = Connection {
+                    stream,
+                    deadline,
+                    closing,
+                    told_to_go: false,
+                    making_room,
+                    idle,
+                    origin,
+                    frames,
+                    _place: place,
+                };
+                // Nobody takes it once the port is closed.
+                let _ = sender.send(connection).await;
+            });
+            return;
         }
+    }
+}
+
+/// Where a call comes from: the use of its connection, and the other end of it.
+#[derive(Clone)]
+pub(super) struct Origin {
+    pub(super) used: ConnectionUse,
+    entry: Arc<identity::Entry>,
+}
+
+impl Origin {
+    /// The other end of its connection.
+    pub(super) fn peer(&self) -> &Arc<identity::Peer> {
+        self.entry.peer()
     }
 }
 
 /// A connection that ends when its first request does not come in time, whatever else it sends, when it sends frames
 /// without end that carry none, when it was idle for long, and when it has to make room for another.
 pub(super) struct Connection {
-    stream: TcpStream,
+    stream: Stream,
     /// Of the first request; then when idleness is looked at again.
     deadline: Pin<Box<Sleep>>,
+    closing: Closing,
+    told_to_go: bool,
+    making_room: Pin<Box<OwnedNotified>>,
     idle: Duration,
-    pub(super) used: ConnectionUse,
-    closing: Pin<Box<OwnedNotified>>,
+    pub(super) origin: Origin,
     frames: FrameCount,
-    _entry: Entry,
+    _place: Entry,
 }
 
 impl Connection {
     /// Is its time over? `Some` with an error where it never was of use.
     fn is_over(&mut self, cx: &mut Context<'_>) -> Option<io::Result<()>> {
-        if self.closing.as_mut().poll(cx).is_ready() {
+        if self.making_room.as_mut().poll(cx).is_ready() {
             return Some(Ok(()));
         }
         while self.deadline.as_mut().poll(cx).is_ready() {
             // A request that came in the same moment is served.
-            if !self.used.was_requested() {
+            if !self.origin.used.was_requested() {
                 return Some(Err(io::ErrorKind::TimedOut.into()));
             }
-            let idle = self.used.idle(Instant::now()).unwrap_or_default();
+            let idle = self.origin.used.idle(Instant::now()).unwrap_or_default();
             if idle >= self.idle {
                 return Some(Ok(()));
             }
@@ -129,10 +171,10 @@ impl Connection {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = ConnectionUse;
+    type ConnectInfo = Origin;
 
-    fn connect_info(&self) -> ConnectionUse {
-        self.used.clone()
+    fn connect_info(&self) -> Origin {
+        self.origin.clone()
     }
 }
 
@@ -145,6 +187,13 @@ impl AsyncRead for Connection {
         if let Some(over) = self.is_over(cx) {
             // Nothing more is read: the caller takes it for the end of the connection.
             return Poll::Ready(over);
+        }
+        // Its certificate was revoked, or its token: whoever it is connects again, or not.
+        if !self.told_to_go {
+            self.told_to_go = Pin::new(&mut self.closing).poll(cx).is_ready();
+        }
+        if self.told_to_go {
+            return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
         }
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);

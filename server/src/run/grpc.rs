@@ -17,11 +17,12 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use super::calls::CallsLayer;
-use super::connections::Acceptor;
+use super::connections::{Acceptor, Door};
 use super::{Error, LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
-use crate::grpc::{AdmissionLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
+use crate::grpc::{AccessLayer, AdmissionLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
+use crate::identity::Port;
 use crate::locating::Locator;
 use crate::trace::RequestSpanLayer;
 
@@ -79,11 +80,13 @@ pub(super) async fn serve(
         .max_encoding_message_size(MAX_ANSWER);
     let health = health.max_decoding_message_size(MAX_NAME);
 
-    let acceptor = Acceptor::new(listener, limits);
+    let door = Door::new(shared.gate.clone(), Port::Grpc);
+    let acceptor = Acceptor::new(listener, limits, door);
     let served = limited(limits)
         .layer(RequestSpanLayer::grpc())
         .layer(CallsLayer::new(limits.pace(), ending.clone()))
         .layer(FaultsLayer::new(metrics.clone()))
+        .layer(AccessLayer::new(shared.gate.clone()))
         .layer(AdmissionLayer::new(locator, metrics.clone()))
         .add_service(localization)
         .add_service(mapping)

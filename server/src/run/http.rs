@@ -15,15 +15,16 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::connections::{Acceptor, InUse};
+use super::connections::{Acceptor, Door, InUse};
 use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
 use crate::http::{Hosts, HttpState, router_at};
+use crate::identity::Port;
 use crate::pace::PacedBody;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health, .. } = shared;
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, .. } = shared;
     let limits = &config.limits;
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();
@@ -42,12 +43,13 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
-        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts)),
+        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts), gate.clone()),
         Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
     };
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
-    let mut connections = Acceptor::new(listener, limits).open();
+    let door = Door::new(gate, Port::Http);
+    let mut connections = Acceptor::new(listener, limits, door).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {
@@ -56,12 +58,13 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
             () = &mut ended => None,
         };
         let Some(connection) = connection else { break };
-        let (used, routes, ending, pace) =
-            (connection.used.clone(), routes.clone(), ending_too.clone(), limits.pace());
+        let (origin, routes, ending, pace) =
+            (connection.origin.clone(), routes.clone(), ending_too.clone(), limits.pace());
         let service = service_fn(move |request: hyper::Request<Incoming>| {
-            let held = used.begin();
+            let held = origin.used.begin();
             let mut request = request.map(|body| PacedBody::new(body, Some(pace), ending.clone()));
-            request.extensions_mut().insert(used.peer());
+            request.extensions_mut().insert(origin.used.peer());
+            request.extensions_mut().insert(std::sync::Arc::clone(origin.peer()));
             let answer = routes.call(request);
             async move { Ok::<_, Infallible>(answer.await?.map(|body| UsingBody { body, _held: held })) }
         });

@@ -31,6 +31,7 @@ use tokio::sync::watch;
 use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
+use crate::identity::{self, Gate};
 use crate::lanes::Lanes;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
@@ -66,6 +67,9 @@ pub enum Error {
         /// What the operating system reported.
         source: io::Error,
     },
+    /// Nobody can be let in as configured.
+    #[error(transparent)]
+    Identity(#[from] identity::Error),
     /// The gRPC port failed.
     #[error("the gRPC port failed: {0}")]
     Grpc(#[from] tonic::transport::Error),
@@ -91,6 +95,7 @@ struct ServiceContext {
     metrics: Arc<Metrics>,
     health: Arc<Health>,
     lanes: Lanes,
+    gate: Arc<Gate>,
 }
 
 /// Frames that may come for calls which the service has ended itself, before the HTTP/2 library ends their connection. Bodies of
@@ -122,8 +127,9 @@ impl Server {
     /// Takes the ports and opens the store, which checks all of the journal.
     ///
     /// # Errors
-    /// When a port is taken, or the store is damaged or in use.
+    /// When nobody can be let in as configured, a port is taken, or the store is damaged or in use.
     pub async fn bind(config: Config) -> Result<Self, Error> {
+        let gate = config.gate()?;
         let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
         let dir = config.store.data_dir.clone();
@@ -148,6 +154,7 @@ impl Server {
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
+            gate: Arc::new(gate),
             lanes,
         };
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
@@ -178,6 +185,8 @@ impl Server {
         let Lanes { port, background, .. } = shared.lanes.clone();
         let retention = background.spawn(retention::keep(shared.clone()));
         let quarantine = background.spawn(quarantine::tell(shared.clone()));
+        let identities =
+            background.spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
         let mut grpc = port.spawn(grpc::serve(grpc, shared.clone(), ending.subscribe()));
         let mut http = background.spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -189,6 +198,7 @@ impl Server {
         follower.abort();
         retention.abort();
         quarantine.abort();
+        identities.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");
@@ -226,6 +236,9 @@ pub async fn serve(
     };
     let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
     tracing::info!(grpc = %addresses.grpc, http = %addresses.http, "listening");
+    if let Some(roles) = server.shared.gate.anonymous() {
+        tracing::warn!(%roles, "anybody who reaches the ports has these roles (`identity.anonymous`)");
+    }
     if let Some(path) = address_file {
         let failed = |source| Error::AddressFile { path: path.display().to_string(), source };
         write_whole(path, &addresses).map_err(failed)?;

@@ -1,5 +1,6 @@
 //! The tiles that touch an area between two parallels and two meridians.
 
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use echofix_core::geo::{self, Grid, LatLon, TILE_M, TileId, Zone};
@@ -18,20 +19,24 @@ const SIDE: u32 = 8;
 
 pub(super) fn tiles(store: &dyn MapStore, area: &GeodeticBox) -> Result<Vec<TileInfo>, Status> {
     let boxes = checked(area).map_err(|violation| status::invalid(&violation))?;
-    let mut found: Vec<TileInfo> = Vec::new();
+    let mut all: Vec<TileInfo> = Vec::new();
     for zone in store.zones() {
-        for part in boxes.iter().filter_map(|part| clip(part, zone)) {
+        // Parts that meet have tiles in common.
+        let mut found = BTreeMap::new();
+        for part in boxes.iter().flat_map(|part| clip(part, zone)) {
             // The box is checked: a projection that fails has nothing stored there.
             let Ok((grid, x, y)) = block(zone, &part) else { continue };
             let infos = store.catalog(zone, x, y).map_err(|error| status::store(&error))?;
-            found.extend(infos.into_iter().filter(|info| touches(&grid, info.id, &part)));
-            if found.len() > MAX_AREA {
+            let touching = infos.into_iter().filter(|info| touches(&grid, info.id, &part));
+            found.extend(touching.map(|info| (info.id, info)));
+            if all.len() + found.len() > MAX_AREA {
                 let rule = format!("touches more than {MAX_AREA} tiles; ask for a smaller area");
                 return Err(status::invalid(&InvalidField::new("area", rule)));
             }
         }
+        all.extend(found.into_values());
     }
-    Ok(found)
+    Ok(all)
 }
 
 /// Sound limits; two boxes when the area crosses the date line.
@@ -56,20 +61,18 @@ fn checked(area: &GeodeticBox) -> Result<Vec<GeodeticBox>, InvalidField> {
     Ok(vec![GeodeticBox { east_deg: 180.0, ..*area }, GeodeticBox { west_deg: -180.0, ..*area }])
 }
 
-/// The part of a box that a zone can hold.
-fn clip(area: &GeodeticBox, zone: Zone) -> Option<GeodeticBox> {
+/// The parts of a box that a zone can hold: two where the box comes to it from either side.
+fn clip(area: &GeodeticBox, zone: Zone) -> impl Iterator<Item = GeodeticBox> {
     let central = f64::from(zone.number()) * 6.0 - 183.0;
     // Zones 1 and 60 reach over the date line: their meridians count on from either side.
-    let turn = [-360.0, 0.0, 360.0].into_iter().find(|turn| {
-        area.west_deg + turn <= central + REACH_DEG && area.east_deg + turn >= central - REACH_DEG
-    })?;
-    let clipped = GeodeticBox {
+    let area = *area;
+    let clipped = [-360.0, 0.0, 360.0].into_iter().map(move |turn| GeodeticBox {
         south_deg: area.south_deg.max(-80.5),
         north_deg: area.north_deg.min(84.5),
         west_deg: (area.west_deg + turn).max(central - REACH_DEG),
         east_deg: (area.east_deg + turn).min(central + REACH_DEG),
-    };
-    (clipped.south_deg <= clipped.north_deg).then_some(clipped)
+    });
+    clipped.filter(|part| part.south_deg <= part.north_deg && part.west_deg <= part.east_deg)
 }
 
 type TileBlock = (Grid, RangeInclusive<i32>, RangeInclusive<i32>);
@@ -112,4 +115,59 @@ fn touches(grid: &Grid, id: TileId, area: &GeodeticBox) -> bool {
     let (south, north) = span(&|at| at.lat_deg);
     let (west, east) = span(&lon);
     south <= area.north_deg && north >= area.south_deg && west <= area.east_deg && east >= area.west_deg
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::testing::FakeStore;
+    use echofix_core::geo::zones_near;
+    use proptest::prelude::*;
+
+    /// Tonga, Adak, Apia, Taveuni, Chukotka, Suva, Munich, the Norwegian exception and Svalbard.
+    const PLACES: [(f64, f64); 11] = [
+        (-21.14, -175.2),
+        (51.88, -176.66),
+        (-13.83, -171.76),
+        (-16.8, 179.98),
+        (-16.8, -179.98),
+        (66.0, -170.0),
+        (65.0, 179.9),
+        (-18.14, 178.44),
+        (48.14, 11.58),
+        (60.4, 5.3),
+        (78.2, 15.6),
+    ];
+
+    fn asked(store: &FakeStore, [west_deg, south_deg, east_deg, north_deg]: [f64; 4]) -> Vec<TileId> {
+        let area = GeodeticBox { south_deg, west_deg, north_deg, east_deg };
+        let mut ids: Vec<_> = tiles(store, &area).unwrap().into_iter().map(|info| info.id).collect();
+        ids.sort_unstable();
+        ids
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        /// Catches: a box of the whole globe, or one across the date line, that leaves out what zones 1 and 60 hold, and a tile
+        /// that is named twice.
+        #[test]
+        fn a_box_around_a_place_names_its_tiles_once(
+            place in 0..PLACES.len(), west in 0.001..20.0_f64, east in 0.001..20.0_f64, high in 0.001..1.0_f64,
+        ) {
+            let (lat_deg, lon_deg) = PLACES[place];
+            let at = LatLon { lat_deg, lon_deg };
+            let tile = |zone| TileId::of(zone, Grid::new(zone).unwrap().project(at).unwrap());
+            let mut ids: Vec<_> = zones_near(at, 512.0).unwrap().into_iter().map(tile).collect();
+            ids.sort_unstable();
+            let cells: &[(u32, u32)] = &[(7, 3)];
+            let store = FakeStore::with_tiles(&ids.iter().map(|id| (*id, cells)).collect::<Vec<_>>());
+            let wrapped = |lon: f64| (lon + 180.0).rem_euclid(360.0) - 180.0;
+            let (south, north) = (lat_deg - high, (lat_deg + high).min(90.0));
+            for [w, e] in [[-180.0, 180.0], [wrapped(lon_deg - west), wrapped(lon_deg + east)]] {
+                prop_assert_eq!(&asked(&store, [w, south, e, north]), &ids, "{} to {}", w, e);
+            }
+            let opposite = [wrapped(lon_deg + 170.0), south, wrapped(lon_deg - 170.0), north];
+            prop_assert_eq!(asked(&store, opposite), []);
+        }
+    }
 }

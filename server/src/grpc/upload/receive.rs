@@ -7,13 +7,14 @@ use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{EvidenceChunk, UploadChunk, UploadHeader, UploadRequest};
 use prost::Message;
 use tokio_stream::{Stream, StreamExt};
-use tonic::Status;
+use tonic::{Code, Status};
 use uuid::Uuid;
 
 use super::evidence::Evidence;
 use crate::grpc::decode::Told;
 use crate::grpc::invalid_field::{InvalidField, require, required};
 use crate::grpc::{decode, now_us, status};
+use crate::identity::Caller;
 use crate::mapping::MappingConfig;
 
 /// Scans of one upload, at most: some that hold no detections cost few bytes to send.
@@ -43,12 +44,20 @@ pub(super) enum UploadBody {
 pub(super) async fn all(
     mut requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
     config: &MappingConfig,
+    caller: &Caller,
 ) -> Result<ReceivedUpload, Status> {
     let invalid = |violation| status::invalid(&violation);
-    let Some(Part::Header(header)) = next(&mut requests).await? else {
+    let Some(Part::Header(mut header)) = next(&mut requests).await? else {
         return Err(invalid(InvalidField::new("header", "must be the first message")));
     };
+    let contributor = caller.contributor(&header.contributor);
+    let contributor =
+        contributor.map_err(|error| status::denied(Code::PermissionDenied, "NOT_THE_CONTRIBUTOR", error))?;
+    if caller.is_known() {
+        header.contributor.clone_from(&contributor);
+    }
     let mut receiving = UploadReceiver::of(&header, config).map_err(invalid)?;
+    header.contributor = contributor;
     while let Some(part) = next(&mut requests).await? {
         receiving.take(part).map_err(invalid)?;
     }

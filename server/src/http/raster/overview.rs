@@ -9,6 +9,7 @@ use echofix_core::point::MapPoint;
 use super::view::mercator;
 use super::{Spot, View};
 use crate::http::error::Error;
+use crate::http::meridians::Meridians;
 use crate::store::{MapStore, TileInfo};
 
 /// Tiles that UTM has room for, east and north of a zone's false origin.
@@ -31,9 +32,10 @@ pub struct Overview {
 
 /// Some neighbouring tiles.
 struct OverviewBlock {
-    /// West, south, east, north.
-    bounds: [f64; 4],
-    /// The north-west and the south-east corner on the Mercator square.
+    meridians: Meridians,
+    /// South and north.
+    latitudes: [f64; 2],
+    /// The north-west and the south-east corner on the Mercator square; east of it when the date line lies between.
     corners: [[f64; 2]; 2],
     cells: u32,
     version: u64,
@@ -69,24 +71,30 @@ impl Overview {
         Ok(overview)
     }
 
-    /// West, south, east, north of all that is mapped.
+    /// West, south, east, north of all that is mapped; west is the larger one when the date line lies between.
     pub fn bounds(&self) -> Option<[f64; 4]> {
-        let join =
-            |a: [f64; 4], b: [f64; 4]| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])];
-        self.blocks.iter().map(|b| b.bounds).reduce(join)
+        let meridians = Meridians::around(self.blocks.iter().map(|block| block.meridians))?;
+        let south = self.blocks.iter().map(|block| block.latitudes[0]).fold(f64::INFINITY, f64::min);
+        let north = self.blocks.iter().map(|block| block.latitudes[1]).fold(f64::NEG_INFINITY, f64::max);
+        Some([meridians.west_deg, south, meridians.east_deg(), north])
     }
 
     /// Longitude and latitude of the block with most evidence: where there is something to see.
     pub fn center(&self) -> Option<[f64; 2]> {
-        let [w, s, e, n] = self.blocks.iter().max_by_key(|b| b.cells)?.bounds;
-        Some([f64::midpoint(w, e), f64::midpoint(s, n)])
+        let OverviewBlock { meridians, latitudes: [s, n], .. } =
+            self.blocks.iter().max_by_key(|b| b.cells)?;
+        Some([meridians.middle_deg(), f64::midpoint(*s, *n)])
     }
 
     /// What a view shows, as (rectangle of pixels it touches, version, spot).
     pub fn seen_in(&self, view: &View) -> impl Iterator<Item = (Rectangle, u64, Spot)> {
-        self.blocks.iter().filter_map(move |block| {
-            let rectangle = Rectangle::touched(view, block.corners)?;
-            Some((rectangle, block.version, Spot::of_count(block.cells, FULL, block.day)))
+        self.blocks.iter().flat_map(move |block| {
+            // What lies across the date line is at either end of the square.
+            let rectangles = [0.0, 1.0]
+                .into_iter()
+                .filter_map(move |turn| Rectangle::touched(view, block.corners.map(|[x, y]| [x - turn, y])));
+            let spot = move || Spot::of_count(block.cells, FULL, block.day);
+            rectangles.map(move |rectangle| (rectangle, block.version, spot()))
         })
     }
 }
@@ -122,15 +130,14 @@ impl Gathered {
         let pick = |value: fn(&LatLon) -> f64, start: f64, better: fn(f64, f64) -> f64| {
             corners.iter().map(value).fold(start, better)
         };
-        let bounds = [
-            pick(|c| c.lon_deg, f64::INFINITY, f64::min),
-            pick(|c| c.lat_deg, f64::INFINITY, f64::min),
-            pick(|c| c.lon_deg, f64::NEG_INFINITY, f64::max),
-            pick(|c| c.lat_deg, f64::NEG_INFINITY, f64::max),
-        ];
-        let [w, s, e, n] = bounds;
+        let around = Meridians::around(corners.map(|at| Meridians::between(at.lon_deg, at.lon_deg)));
+        let Some(meridians) = around else { return Ok(None) };
+        let s = pick(|c| c.lat_deg, f64::INFINITY, f64::min);
+        let n = pick(|c| c.lat_deg, f64::NEG_INFINITY, f64::max);
+        let (w, e) = (meridians.west_deg, meridians.west_deg + meridians.width_deg);
         let corners = [[w, n], [e, s]].map(|[lon_deg, lat_deg]| mercator(LatLon { lat_deg, lon_deg }));
-        Ok(Some(OverviewBlock { bounds, corners, cells: self.cells, version: self.version, day: self.day }))
+        let Self { cells, version, day, .. } = *self;
+        Ok(Some(OverviewBlock { meridians, latitudes: [s, n], corners, cells, version, day }))
     }
 }
 
@@ -192,6 +199,51 @@ mod tests {
             assert!(rectangle.x1 - rectangle.x0 <= 2 && rectangle.y1 - rectangle.y0 <= 2);
         }
         assert!(overview.seen_in(&View { z: 1, x: 1, y: 1, side: 256 }).next().is_none());
+    }
+
+    /// Catches: bounds, a middle or a far picture that leave a place out, or show the whole world for it, because the date
+    /// line is near or a map lies on both of its sides.
+    #[test]
+    fn every_place_on_earth_is_framed_and_drawn() {
+        for (lat_deg, lon_deg) in [
+            (-21.14, -175.2),
+            (51.88, -176.66),
+            (-13.83, -171.76),
+            (-16.8, 179.99),
+            (-16.8, -179.99),
+            (-16.8, 180.0),
+            (66.0, -170.0),
+            (65.0, 179.9),
+            (-18.14, 178.44),
+            (48.14, 11.58),
+            (0.0, 0.0),
+            (78.2, 15.6),
+            (-54.8, -68.3),
+        ] {
+            let at = LatLon { lat_deg, lon_deg };
+            let zones = echofix_core::geo::zones_near(at, 512.0).unwrap();
+            let tile = |zone| TileId::of(zone, Grid::new(zone).unwrap().project(at).unwrap());
+            let cells: &[(u32, u32)] = &[(0, 5)];
+            // With others on either side, as a map of a town has them.
+            let beside = |id: TileId| [-1, 0, 1].map(|x| (TileId { x: id.x + x, ..id }, cells));
+            let tiles: Vec<_> = zones.into_iter().flat_map(|zone| beside(tile(zone))).collect();
+            let overview = Overview::of(&FakeStore::with_tiles(&tiles)).unwrap();
+            let [w, s, e, n] = overview.bounds().unwrap();
+            let bounds = Meridians::between(w, e);
+            assert!(bounds.width_deg < 0.1 && n - s < 0.1, "{at:?}: {w} {e}");
+            assert!(bounds.meets(Meridians::between(lon_deg, lon_deg)), "{at:?}: {w} {e}");
+            let [lon, lat] = overview.center().unwrap();
+            assert!(
+                Meridians::around([bounds, Meridians::between(lon, lon)]).unwrap().width_deg < 0.1,
+                "{at:?}"
+            );
+            for z in 0..10 {
+                let [mx, my] =
+                    mercator(LatLon { lat_deg: lat, lon_deg: lon }).map(|m| m * f64::from(1_u32 << z));
+                let view = View { z, x: mx as u32, y: my as u32, side: 256 };
+                assert!(overview.seen_in(&view).next().is_some(), "{at:?} at zoom {z}");
+            }
+        }
     }
 
     #[test]

@@ -1,0 +1,45 @@
+//! Who asks, and whether they may. The caller goes with the request to its handler, which takes it as an argument:
+//! `Extension<Arc<Caller>>`.
+
+use std::sync::Arc;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderValue, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::App;
+use super::error::Error;
+use crate::identity::access::{Call, methods};
+use crate::identity::{Peer, Refusal};
+
+/// Lets through only what the caller may ask for.
+pub async fn guard(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
+    // Where there is no route, nothing is answered but that.
+    let Some(route) = request.extensions().get::<MatchedPath>().cloned() else {
+        return next.run(request).await;
+    };
+    let call = Call::Http(request.method().as_str(), route.as_str());
+    let peer = request.extensions().get::<Arc<Peer>>().map(Arc::as_ref);
+    match app.gate.admit(call, peer, request.headers()) {
+        Ok(caller) => {
+            request.extensions_mut().insert(Arc::new(caller));
+            next.run(request).await
+        }
+        Err(Refusal::NotServed) => not_served(route.as_str()),
+        Err(refusal) => Error::from(refusal).into_response(),
+    }
+}
+
+/// A method that the table does not have for this route.
+fn not_served(route: &str) -> Response {
+    let mut allowed: Vec<_> = methods(route).collect();
+    if allowed.contains(&"GET") {
+        allowed.push("HEAD");
+    }
+    let mut response = Error::MethodNotAllowed.into_response();
+    if let Ok(allowed) = HeaderValue::from_str(&allowed.join(",")) {
+        response.headers_mut().insert(header::ALLOW, allowed);
+    }
+    response
+}

@@ -1,0 +1,302 @@
+//! From a request's connection and headers to its caller, and whether that may do it. Both ports ask here.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use arc_swap::ArcSwap;
+use axum::http::{HeaderMap, header};
+use rustls::pki_types::CertificateDer;
+
+use super::access::{self, Access, Call};
+use super::caller::{Caller, Known};
+use super::certificate::role_and_name;
+use super::config::{Error, IdentityConfig, Strangers, TlsConfig, check};
+use super::peer::{Closing, Entry, Peer, Peers};
+use super::role::{Role, Roles};
+use super::sessions::{COOKIE, Sessions};
+use super::tls::{Files, Identified, TlsError};
+use super::tokens::{TokenHash, hash_of};
+
+/// Why a call is not answered.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// It is not in the table.
+    #[error("nothing is served under this name and method")]
+    NotServed,
+    /// Nobody knows who asks.
+    #[error("{0}")]
+    Unauthenticated(String),
+    /// It is known who asks, and that is not enough.
+    #[error("this takes the role {least}; {name} has {roles}")]
+    Forbidden {
+        /// The least role that may.
+        least: Role,
+        /// Who asks.
+        name: String,
+        /// As what.
+        roles: String,
+    },
+}
+
+/// Who is let in, and for what.
+pub struct Gate {
+    tls: TlsConfig,
+    identity: IdentityConfig,
+    strangers: Strangers,
+    current: ArcSwap<Identified>,
+    /// What it was made from.
+    files: Mutex<Files>,
+    peers: Arc<Peers>,
+    sessions: Sessions,
+}
+
+impl Gate {
+    /// Asks nobody: for routes without a port.
+    #[must_use]
+    pub fn open() -> Self {
+        let (tls, identity) = (TlsConfig::default(), IdentityConfig::default());
+        Self::with(tls, identity, Strangers::Unasked, (Files::default(), Identified::default()))
+    }
+
+    fn with(
+        tls: TlsConfig,
+        identity: IdentityConfig,
+        strangers: Strangers,
+        (files, current): (Files, Identified),
+    ) -> Self {
+        let (peers, sessions, current) =
+            (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
+        let files = Mutex::new(files);
+        Self { tls, identity, strangers, current, files, peers, sessions }
+    }
+
+    /// As configured, for ports at these addresses. Reads the files.
+    ///
+    /// # Errors
+    /// When others reach a port and nobody is asked, or a file cannot be used.
+    pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<Self, Error> {
+        check(tls, identity, listen)?;
+        let files = Files::read(tls, identity)?;
+        let identified = Identified::of(&files, tls, identity)?;
+        let strangers = identity.strangers(tls);
+        Ok(Self::with(tls.clone(), identity.clone(), strangers, (files, identified)))
+    }
+
+    /// What connections are held against from now on.
+    #[must_use]
+    pub fn current(&self) -> Arc<Identified> {
+        self.current.load_full()
+    }
+
+    /// Reads the files again, and replaces what changed if all of it can be used. Connections that no longer pass are ended.
+    ///
+    /// # Errors
+    /// When a file cannot be used; the last good ones stay.
+    pub(super) fn refresh(&self) -> Result<(bool, usize), TlsError> {
+        let changed = self.replace();
+        let all = changed.as_ref().is_ok_and(|changed| *changed);
+        let ended = self.peers.sweep(&self.current.load(), all);
+        changed.map(|changed| (changed, ended))
+    }
+
+    fn replace(&self) -> Result<bool, TlsError> {
+        let fresh = Files::read(&self.tls, &self.identity)?;
+        let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
+        if *files == fresh {
+            return Ok(false);
+        }
+        self.current.store(Arc::new(Identified::of(&fresh, &self.tls, &self.identity)?));
+        *files = fresh;
+        Ok(true)
+    }
+
+    /// How often the files are looked at.
+    pub(super) fn period(&self) -> std::time::Duration {
+        std::time::Duration::from_secs(self.tls.reload_s.max(1))
+    }
+
+    /// Whether there is any file to look at.
+    pub(super) fn has_files(&self) -> bool {
+        self.tls.is_on() || !self.identity.tokens.is_empty()
+    }
+
+    /// Takes a connection in, with the certificates it showed, its own first.
+    #[must_use]
+    pub fn enter(
+        &self,
+        address: SocketAddr,
+        encrypted: bool,
+        chain: Option<&[CertificateDer<'_>]>,
+    ) -> (Entry, Closing) {
+        let (peer, closing) = Peer::new(address, encrypted, chain, &self.identity.trust_domain);
+        (self.peers.enter(peer), closing)
+    }
+
+    /// Ends a connection that was let in by what no longer counts: what changed between its beginning and its entry.
+    pub fn recheck(&self, before: &Arc<Identified>, peer: &Peer) {
+        let now = self.current.load();
+        if !Arc::ptr_eq(before, &now) && !peer.passes(&now) {
+            peer.end();
+        }
+    }
+
+    /// What callers may do whom nothing identifies, for people; `None` when they may nothing, or nobody is asked.
+    #[must_use]
+    pub fn anonymous(&self) -> Option<Roles> {
+        match self.strangers {
+            Strangers::With(roles) if !roles.is_empty() => Some(roles),
+            _ => None,
+        }
+    }
+
+    /// Who makes a call, if they may.
+    ///
+    /// # Errors
+    /// Why they may not.
+    pub fn admit(&self, call: Call<'_>, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+        let access = access::of(call).ok_or(Refusal::NotServed)?;
+        let caller = self.caller(peer, headers);
+        let least = match access {
+            Access::Open => None,
+            Access::Metrics if self.identity.open_metrics => None,
+            Access::Metrics => Some(Role::Viewer),
+            Access::Least(role) => Some(role),
+            Access::AnyRole => {
+                return caller
+                    .and_then(|caller| if caller.roles.is_empty() { Err(unknown()) } else { Ok(caller) });
+            }
+        };
+        let nobody = || Caller {
+            name: String::new(),
+            roles: Roles::default(),
+            known: Known::Anonymous,
+            address: peer.map(|peer| peer.address.ip()),
+        };
+        let Some(least) = least else { return Ok(caller.unwrap_or_else(|_| nobody())) };
+        let caller = caller?;
+        if caller.may(least) {
+            return Ok(caller);
+        }
+        if !caller.is_known() {
+            return Err(unknown());
+        }
+        let (name, roles) = (caller.name.clone(), caller.roles.to_string());
+        Err(Refusal::Forbidden { least, name, roles })
+    }
+
+    /// A token beats a session, that a certificate, that a proxy's word; one that is wrong is an error, and not as if there
+    /// were none.
+    fn caller(&self, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+        let address = peer.map(|peer| peer.address.ip());
+        if self.strangers == Strangers::Unasked {
+            return Ok(Caller { address, ..Caller::unasked() });
+        }
+        if peer.is_some_and(Peer::is_over) {
+            return Err(refused("the certificate of this connection no longer passes; connect again"));
+        }
+        if let Some(token) = bearer(headers)? {
+            let unknown = || refused("this token is not known; ask an operator for another");
+            return self.holder(hash_of(token), peer).ok_or_else(unknown);
+        }
+        if let Some(id) = session(headers) {
+            let over = || refused("the session is over; sign in again");
+            let token = self.sessions.token(id, Instant::now()).ok_or_else(over)?;
+            return self.holder(token, peer).ok_or_else(over);
+        }
+        if let Some(subject) = peer.and_then(Peer::subject) {
+            let subject = subject.as_ref().map_err(|reason| refused(reason))?;
+            let (name, roles) = (subject.name.clone(), subject.roles);
+            return Ok(Caller { name, roles, known: Known::Certificate, address });
+        }
+        if let Some(told) = self.told_by_proxy(peer, headers) {
+            let (role, name) =
+                told.ok_or_else(|| refused("the proxy's header is not ROLE/NAME, or there are several"))?;
+            return Ok(Caller { name: name.to_owned(), roles: role.into(), known: Known::Proxy, address });
+        }
+        let roles = if let Strangers::With(roles) = self.strangers { roles } else { Roles::default() };
+        Ok(Caller { name: String::new(), roles, known: Known::Anonymous, address })
+    }
+
+    fn holder(&self, token: TokenHash, peer: Option<&Peer>) -> Option<Caller> {
+        let current = self.current.load();
+        let holder = current.tokens.holder(&token)?;
+        peer.inspect(|peer| peer.note(token));
+        let address = peer.map(|peer| peer.address.ip());
+        Some(Caller { name: holder.name.clone(), roles: holder.roles, known: Known::Token, address })
+    }
+
+    /// What a proxy on this machine says; anybody else's header says nothing.
+    fn told_by_proxy<'a>(
+        &self,
+        peer: Option<&Peer>,
+        headers: &'a HeaderMap,
+    ) -> Option<Option<(Role, &'a str)>> {
+        let header = &self.identity.proxy_header;
+        let local = peer.is_some_and(|peer| peer.address.ip().to_canonical().is_loopback());
+        if header.is_empty() || !local {
+            return None;
+        }
+        let mut values = headers.get_all(header.as_str()).iter();
+        let value = values.next()?;
+        let only = values.next().is_none();
+        Some(value.to_str().ok().and_then(role_and_name).filter(|_| only))
+    }
+
+    /// Begins a browser's session with a token; returns the cookie that stands for it.
+    ///
+    /// # Errors
+    /// When the token is not known, or the system has no randomness.
+    pub fn sign_in(&self, token: &str, peer: Option<&Peer>) -> Result<(Caller, String), Refusal> {
+        let hash = hash_of(token);
+        let caller = self.holder(hash, peer);
+        let caller = caller.ok_or_else(|| refused("this token is not known; ask an operator for another"))?;
+        let id = self.sessions.begin(hash, Instant::now());
+        let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
+        let lasts = super::sessions::LASTS.as_secs();
+        Ok((caller, cookie(&id, lasts, peer.is_some_and(|peer| peer.encrypted))))
+    }
+
+    /// Ends the session of a request; returns the cookie that says so to the browser.
+    pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap) -> String {
+        session(headers).inspect(|id| self.sessions.end(id));
+        cookie("", 0, peer.is_some_and(|peer| peer.encrypted))
+    }
+}
+
+fn cookie(id: &str, lasts_s: u64, encrypted: bool) -> String {
+    let secure = if encrypted { "; Secure" } else { "" };
+    format!("{COOKIE}={id}; Path=/; Max-Age={lasts_s}; HttpOnly; SameSite=Strict{secure}")
+}
+
+fn refused(why: &str) -> Refusal {
+    Refusal::Unauthenticated(why.to_owned())
+}
+
+fn unknown() -> Refusal {
+    refused(
+        "who asks is not known; show a client certificate, or a token as `authorization: Bearer TOKEN` (the command takes \
+         --cert and --key, or --token)",
+    )
+}
+
+/// The token of a request; an error when there is something else in its place.
+fn bearer(headers: &HeaderMap) -> Result<Option<&str>, Refusal> {
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    let Some(value) = values.next() else { return Ok(None) };
+    let token = value.to_str().ok().and_then(|value| {
+        let (scheme, token) = value.split_once(' ')?;
+        scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
+    });
+    match (token, values.next()) {
+        (Some(token), None) => Ok(Some(token)),
+        _ => Err(refused("the authorization header is not one `Bearer TOKEN`")),
+    }
+}
+
+/// The id of a browser's session.
+fn session(headers: &HeaderMap) -> Option<&str> {
+    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    pairs.find(|(name, _)| *name == COOKIE).map(|(_, id)| id)
+}

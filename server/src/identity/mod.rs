@@ -1,0 +1,35 @@
+//! Who is there, and what they may do. The same for both ports.
+//!
+//! - [`role`]: the roles, and which of them include which.
+//! - [`caller`]: who asks, and how that is known.
+//! - [`access`]: the one table of calls and the least role of each; what is not in it is denied.
+//! - [`certificate`]: the name and the roles that a certificate's URIs tell.
+//! - [`tokens`]: bearer tokens, of which a file keeps the hashes.
+//! - [`sessions`]: browsers that have signed in.
+//! - [`tls`]: certificate, key, authority and revocations, checked and made into rustls's configuration.
+//! - [`config`]: the sections `[tls]` and `[identity]`.
+//! - [`peer`]: the other end of a connection.
+//! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
+//! - [`reload`]: files that changed are read again, and connections that no longer pass are told to go.
+
+pub mod access;
+mod caller;
+mod certificate;
+mod config;
+mod gate;
+mod peer;
+mod reload;
+mod role;
+mod sessions;
+mod tls;
+pub mod tokens;
+
+pub use caller::{Caller, Known, NotTheContributor};
+pub use certificate::{is_caller_uri, serial_of_pem};
+pub use config::{Error, IdentityConfig, TlsConfig, check};
+pub use gate::{Gate, Refusal};
+pub use peer::{Closing, Entry, Peer};
+pub use reload::keep as keep_current;
+pub use role::{Role, Roles};
+pub use sessions::COOKIE;
+pub use tls::{Identified, Port, TlsError};
