@@ -81,7 +81,15 @@ impl ServiceProcess {
             settings: settings.to_vec(),
             variables: Vec::new(),
         };
-        let mut service = Self::launch(&launch).context("starting the service")?;
+        Self::started(&launch).await
+    }
+
+    /// Starts a service and waits until it listens.
+    ///
+    /// # Errors
+    /// When it does not come up; its log is in the error.
+    pub async fn started(launch: &Launch<'_>) -> anyhow::Result<Self> {
+        let mut service = Self::launch(launch).context("starting the service")?;
         let deadline = Instant::now() + LISTENS_WITHIN;
         while !service.listens() {
             if service.ended()?.is_some() || Instant::now() > deadline {

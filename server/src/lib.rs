@@ -3,7 +3,10 @@
 //! The modules, in reading order:
 //!
 //! - [`args`], [`config`], [`log`]: its settings, and its log.
+//! - [`pace`]: how slowly a peer may send.
 //! - [`patience`]: how long a caller waits for blocking work.
+//! - [`lanes`]: which threads do what, and which of them come first.
+//! - [`shares`]: pools of which no peer can take all.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
 //! - [`identity`]: who is there, and what they may do; the same for both ports.
@@ -24,12 +27,15 @@ pub mod grpc;
 pub mod health;
 pub mod http;
 pub mod identity;
+pub mod lanes;
 pub mod locating;
 pub mod log;
 pub mod mapping;
 pub mod metrics;
+pub mod pace;
 pub mod patience;
 pub mod run;
+pub mod shares;
 mod sparse;
 pub mod store;
 pub mod trace;

@@ -21,7 +21,7 @@ struct Args {
 }
 
 fn main() -> ExitCode {
-    match run(&Args::parse()) {
+    match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // Without standard error there is nowhere to report it.
@@ -32,14 +32,19 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+fn run() -> Result<(), Box<dyn Error>> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let ended = {
+        let _within = runtime.enter();
+        run::signalled()?
+    };
+    let args = Args::parse();
     let config = args.serve.config()?;
     if let Some(text) = args.serve.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let served = runtime.block_on(run::serve(config, args.serve.addr_file.as_deref(), run::signalled()));
+    let served = runtime.block_on(run::serve(config, args.serve.addr_file.as_deref(), ended));
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

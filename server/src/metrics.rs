@@ -39,7 +39,8 @@ pub struct Metrics {
     pub commit_seconds: Histogram,
     /// Requests whose tiles were all in the cache, and others, by outcome `hit` and `miss`.
     pub windows: Family<OutcomeLabel, Counter>,
-    /// Sampled checks by outcome: the exact engine agrees (`agree`) or does not (`differ`).
+    /// Sampled checks by outcome: the exact engine agrees (`agree`) or does not (`differ`), or too many
+    /// wait to be checked (`skipped`).
     pub confirmations: Family<OutcomeLabel, Counter>,
     /// Uploads that vetting kept out of the map, by reason.
     pub quarantined: Family<OutcomeLabel, Counter>,

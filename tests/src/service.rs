@@ -96,6 +96,27 @@ impl Service {
         signal(self.process.pid(), "TERM");
     }
 
+    /// Sends a signal by its name, as `TERM`.
+    pub fn signal(&self, name: &str) {
+        signal(self.process.pid(), name);
+    }
+
+    /// Waits until the process listens for SIGTERM; before, it would just be killed.
+    pub fn wait_until_it_hears(&self) {
+        const TERM: u32 = 15;
+        until_blocking("the service hears signals", READY_WITHIN, || {
+            let status = fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
+            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+            let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
+            (caught >> (TERM - 1) & 1 == 1).then_some(())
+        });
+    }
+
+    /// Other keys from the next start on.
+    pub fn set(&mut self, settings: &[&str]) {
+        self.setup.settings.extend(settings.iter().map(|&setting| setting.to_owned()));
+    }
+
     /// Waits for the end of a process that was asked to end.
     pub fn ended(&mut self) -> ExitStatus {
         until_blocking("the service has ended", ENDS_WITHIN, || {

@@ -25,16 +25,20 @@ pub struct Args {
 /// # Errors
 /// When the configuration is wrong, a port is taken or the store does not open.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let signalled = {
+        let _within = runtime.enter();
+        service::signalled()?
+    };
     let Args { service: args, end_with_stdin } = args;
     let config = args.config()?;
     if let Some(text) = args.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let ended = async {
         tokio::select! {
-            () = service::signalled() => {}
+            () = signalled => {}
             () = stdin_closed(), if *end_with_stdin => {}
         }
     };

@@ -8,6 +8,7 @@
 //! - [`case`]: one alignment. [`engines`] and [`sizes`] time it engine by engine, and by the size of window and batch.
 //! - [`lengths`]: a request by the length of its batch.
 //! - [`lost`]: the cost and the success of relocalization.
+//! - [`stress`]: a fix beside all else, and more than the service can do.
 //! - [`mod@page`]: the figures as a page.
 //!
 //! The service is a process of its own, so that its processor time and memory do not contain those of the clients.
@@ -22,6 +23,7 @@ mod load;
 mod lost;
 mod page;
 mod sizes;
+mod stress;
 mod town;
 
 use std::path::Path;

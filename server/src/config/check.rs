@@ -270,6 +270,13 @@ fn limits(limits: &LimitsConfig) -> Vec<Rule> {
             "must be at most 1000000",
         ),
         ("limits.reads_at_once", (1..=4096).contains(&limits.reads_at_once), "must lie within 1 and 4096"),
+        ("limits.address_share", within(limits.address_share, 1.0), "must be above 0 and at most 1"),
+        (
+            "limits.least_bytes_per_s",
+            (1..=1 << 20).contains(&limits.least_bytes_per_s),
+            "must be above 0 and at most 1048576",
+        ),
+        seconds("limits.idle_s", limits.idle_s),
         seconds("limits.handshake_s", limits.handshake_s),
         seconds("limits.keepalive_s", limits.keepalive_s),
         seconds("limits.keepalive_timeout_s", limits.keepalive_timeout_s),

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::identity::{self, Gate, IdentityConfig, RatesConfig, TlsConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
+use crate::pace::Pace;
 use crate::store::TableEngine;
 use overlay::Layered;
 
@@ -164,7 +165,7 @@ pub struct RadarConfig {
 }
 
 /// What one client may take of the service.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LimitsConfig {
     /// Connections to each port.
@@ -179,6 +180,8 @@ pub struct LimitsConfig {
     pub resets_per_connection: usize,
     /// Requests that read tiles at once.
     pub reads_at_once: usize,
+    /// The part of what is bounded that one address may have, 0 to 1.
+    pub address_share: f64,
     /// Until a connection's first request, seconds.
     pub handshake_s: u64,
     /// Between pings on a silent gRPC connection, seconds.
@@ -189,15 +192,25 @@ pub struct LimitsConfig {
     pub request_s: u64,
     /// Silence in the middle of a request, seconds.
     pub stall_s: u64,
+    /// Bytes of a request a second, over longer times.
+    pub least_bytes_per_s: u64,
+    /// Until a connection without a call is closed, seconds.
+    pub idle_s: u64,
     /// Requests in flight at the end, seconds.
     pub shutdown_s: u64,
 }
 
 impl LimitsConfig {
-    /// Silence in the middle of a request.
+    /// How slowly a caller may send.
     #[must_use]
-    pub fn stall(&self) -> Duration {
-        Duration::from_secs(self.stall_s)
+    pub fn pace(&self) -> Pace {
+        Pace { stall: Duration::from_secs(self.stall_s), least_per_s: self.least_bytes_per_s }
+    }
+
+    /// Until a connection without a call is closed.
+    #[must_use]
+    pub fn idle(&self) -> Duration {
+        Duration::from_secs(self.idle_s)
     }
 
     /// Between pings on a silent connection.

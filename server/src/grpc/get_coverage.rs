@@ -9,6 +9,7 @@ use echofix_core::point::MapPoint;
 use echofix_core::pose::{Pose2, wrap_axis};
 use echofix_core::tile::Tile;
 use echofix_proto::v1::{ExpectedFix, FixStatus, GetCoverageRequest, GetCoverageResponse};
+use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
 
@@ -16,6 +17,7 @@ use super::invalid_field::{InvalidField, require};
 use super::{attended, decode, status};
 use crate::locating::{Expectations, NotAssessed};
 use crate::patience::Patience;
+use crate::shares::Place;
 use crate::store::{self, MapStore};
 
 /// Points of a route, at most.
@@ -30,10 +32,10 @@ const TILES_KEPT: usize = 64;
 pub(super) async fn get_coverage(
     (store, expectations): (Arc<dyn MapStore>, Arc<Expectations>),
     request: GetCoverageRequest,
-    permits: (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>),
+    permits: (OwnedSemaphorePermit, (Place, Option<Place>)),
 ) -> Result<GetCoverageResponse, Status> {
     let route = route(&request).map_err(|violation| status::invalid(&violation))?;
-    attended(None, move |patience| {
+    attended(&Handle::current(), None, move |patience| {
         let _permits = permits;
         let mut response = coverage(&*store, &route, patience)?;
         if request.expectations {

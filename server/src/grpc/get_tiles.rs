@@ -5,19 +5,21 @@ mod area;
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter;
 use std::sync::Arc;
-use std::time::Duration;
 
 use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::get_tiles_response::Part;
 use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TilePiece, TilesSummary};
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use prost::Message;
+use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 use tracing::Instrument;
 
 use super::invalid_field::{InvalidField, require, required};
 use super::{blocking, status, tile_id};
+use crate::pace::Pace;
+use crate::shares::Place;
 use crate::store::{self, MapStore, StoredTile};
 
 /// Tiles asked for by id, at most.
@@ -41,21 +43,39 @@ struct TransferPlan {
     absent: Vec<TileId>,
 }
 
+/// Reads the map, so many at a time. A permit is held for one reading, and never while the caller takes what was read.
+pub(super) struct Reader {
+    pub(super) store: Arc<dyn MapStore>,
+    pub(super) reads: Arc<Semaphore>,
+}
+
+impl Reader {
+    async fn read<T: Send + 'static>(
+        &self,
+        read: impl FnOnce(&dyn MapStore) -> Result<T, Status> + Send + 'static,
+    ) -> Result<T, Status> {
+        let permit = self.reads.clone().acquire_owned().await.map_err(|_| status::gone())?;
+        let store = self.store.clone();
+        blocking(move || {
+            let _held = permit;
+            read(&*store)
+        })
+        .await?
+    }
+}
+
 pub(super) async fn get_tiles(
-    store: Arc<dyn MapStore>,
+    reader: Reader,
     request: GetTilesRequest,
-    permit: OwnedSemaphorePermit,
-    stall: Duration,
+    place: Place,
+    pace: Pace,
 ) -> Result<TileStream, Status> {
-    let plan = {
-        let store = store.clone();
-        blocking(move || plan(&*store, request)).await??
-    };
+    let plan = reader.read(move |store| plan(store, request)).await?;
     let (sender, receiver) = mpsc::channel(1);
     let sending = async move {
-        // The caller's permit is returned once the answer has ended.
-        let _permit = permit;
-        send(store, plan, sender, stall).await;
+        // The caller's place is returned once the answer has ended.
+        let _place = place;
+        send(reader, plan, sender, pace).await;
     };
     tokio::spawn(sending.in_current_span());
     Ok(ReceiverStream::new(receiver))
@@ -63,10 +83,10 @@ pub(super) async fn get_tiles(
 
 /// Sends until the end, the first error, or the caller takes nothing any more.
 async fn send(
-    store: Arc<dyn MapStore>,
+    reader: Reader,
     plan: TransferPlan,
     sender: mpsc::Sender<Result<GetTilesResponse, Status>>,
-    stall: Duration,
+    pace: Pace,
 ) {
     let mut summary = TilesSummary {
         epoch: plan.epoch,
@@ -75,9 +95,8 @@ async fn send(
         absent: plan.absent.into_iter().map(tile_id).collect(),
     };
     for id in plan.send {
-        let reader = store.clone();
-        let read = blocking(move || reader.tile(id).map_err(|error| status::store(&error))).await;
-        let tile = match read.and_then(|read| read) {
+        let tile = reader.read(move |store| store.tile(id).map_err(|error| status::store(&error))).await;
+        let tile = match tile {
             Ok(Some(tile)) => tile,
             // Taken back since the catalog was asked.
             Ok(None) => {
@@ -86,22 +105,23 @@ async fn send(
             }
             Err(status) => {
                 // A caller that went away needs no reason.
-                let _ = sender.send_timeout(Err(status), stall).await;
+                let _ = sender.send_timeout(Err(status), pace.stall).await;
                 return;
             }
         };
         summary.sent += 1;
-        let version = store.wire_version(tile.version);
+        let version = reader.store.wire_version(tile.version);
         for part in parts(id, &tile, version) {
             let message = GetTilesResponse { part: Some(part) };
-            if sender.send_timeout(Ok(message), stall).await.is_err() {
+            let patience = pace.stall + pace.time_for(message.encoded_len());
+            if sender.send_timeout(Ok(message), patience).await.is_err() {
                 return;
             }
         }
     }
     let last = GetTilesResponse { part: Some(Part::Summary(summary)) };
     // A caller that went away needs no summary.
-    let _ = sender.send_timeout(Ok(last), stall).await;
+    let _ = sender.send_timeout(Ok(last), pace.stall).await;
 }
 
 /// A tile as messages, each made when it is its turn.

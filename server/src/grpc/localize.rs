@@ -18,6 +18,7 @@ use echofix_proto::v1::localize_stream_response::Outcome as Streamed;
 use echofix_proto::v1::{
     FixStatus, LocalizeRequest, LocalizeResponse, LocalizeStreamRequest, LocalizeStreamResponse,
 };
+use tokio::sync::Semaphore;
 use tokio_stream::{Stream, StreamExt};
 use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
@@ -29,7 +30,10 @@ use super::status;
 use super::{attended, decode, faults, now_us};
 use crate::feed::{Feed, FixEvent};
 use crate::identity::Rated;
-use crate::locating::{Admitted, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word};
+use crate::lanes::Lanes;
+use crate::locating::{
+    Admitted, Arriving, LocateAnswer, LocateRefusal, LocateRequest, Locator, verdict_word,
+};
 use crate::metrics::{Metrics, OutcomeLabel};
 use crate::patience::Patience;
 use crate::trace::in_current_span;
@@ -39,14 +43,21 @@ use encode::{BatchFacts, milliseconds, reason, refused, response};
 pub const INTEGRITY_RISKS: std::ops::RangeInclusive<f64> = 1e-9..=0.1;
 /// No vehicle can use an answer that is off by more.
 const MAX_ALERT_LIMIT_M: f64 = 1_000.0;
+/// Answers that wait to be checked, at most.
+const CHECKS_WAITING: usize = 64;
 
 /// Answers localization requests.
 pub struct LocalizationApi {
     inner: Arc<Localization>,
+    /// Without lanes of its own it computes on the runtime of its caller.
+    lanes: Option<Lanes>,
 }
 
 struct Localization {
     answered: AtomicU64,
+    /// Checks that wait for their turn may be so many.
+    checks_waiting: Semaphore,
+    check_turn: tokio::sync::Mutex<()>,
     locator: Arc<Locator>,
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
@@ -56,7 +67,17 @@ impl LocalizationApi {
     /// Answers from a locator; feeds and metrics record every outcome.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
-        Self { inner: Arc::new(Localization { answered: AtomicU64::new(0), locator, feed, metrics }) }
+        Self { inner: Arc::new(Localization::new(locator, feed, metrics)), lanes: None }
+    }
+
+    /// Computes on these lanes.
+    #[must_use]
+    pub fn on(self, lanes: Lanes) -> Self {
+        Self { lanes: Some(lanes), ..self }
+    }
+
+    fn lanes(&self) -> Lanes {
+        self.lanes.clone().unwrap_or_else(Lanes::here)
     }
 
     /// Answers one request on this thread, from its columns to its answer.
@@ -74,8 +95,11 @@ impl LocalizationService for LocalizationApi {
         &self,
         request: Request<LocalizeRequest>,
     ) -> Result<Response<LocalizeResponse>, Status> {
-        let deadline = deadline(request.metadata());
-        self.inner.answer(request.into_inner(), deadline).await.map(Response::new)
+        let (deadline, lanes) = (deadline(request.metadata()), self.lanes());
+        let (_, mut extensions, request) = request.into_parts();
+        // Its place among those that arrive is kept until it asks for a slot.
+        let arriving = extensions.remove::<Arc<Arriving>>();
+        self.inner.answer(request, deadline, &lanes, arriving).await.map(Response::new)
     }
 
     type LocalizeStreamStream = Pin<Box<dyn Stream<Item = Result<LocalizeStreamResponse, Status>> + Send>>;
@@ -84,12 +108,13 @@ impl LocalizationService for LocalizationApi {
         &self,
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
-        let (inner, deadline) = (Arc::clone(&self.inner), deadline(request.metadata()));
+        let (inner, deadline, lanes) = (Arc::clone(&self.inner), deadline(request.metadata()), self.lanes());
         let caller = super::access::caller(request.extensions())?;
         // The answers are made after this call has returned, and belong to its span still.
         let call = Span::current();
         let answers = request.into_inner().then(move |asked| {
             let (inner, call, caller) = (Arc::clone(&inner), call.clone(), caller.clone());
+            let lanes = lanes.clone();
             async move {
                 let LocalizeStreamRequest { sequence, request } = asked.map_err(faults::told)?;
                 if deadline.is_some_and(|at| at <= Instant::now()) {
@@ -97,7 +122,10 @@ impl LocalizationService for LocalizationApi {
                 }
                 let span = tracing::info_span!(parent: &call, "message", sequence);
                 let answer = match caller.count(Rated::Localize) {
-                    Ok(()) => inner.answer(request.unwrap_or_default(), deadline).instrument(span).await,
+                    Ok(()) => {
+                        let answer = inner.answer(request.unwrap_or_default(), deadline, &lanes, None);
+                        answer.instrument(span).await
+                    }
                     Err(status) => Err(status),
                 };
                 let outcome = match answer {
@@ -111,6 +139,12 @@ impl LocalizationService for LocalizationApi {
     }
 }
 
+/// What a request is told that is not even received, and counted as.
+pub(super) fn turned_away(metrics: &Metrics, refusal: &LocateRefusal) -> Status {
+    metrics.fixes.get_or_create(&OutcomeLabel { outcome: reason(refusal) }).inc();
+    refused(refusal)
+}
+
 /// A status as a message: its details already are an encoded `google.rpc.Status`.
 fn as_message(status: &Status) -> pb::Status {
     let plain = || pb::Status {
@@ -122,24 +156,31 @@ fn as_message(status: &Status) -> pb::Status {
 }
 
 impl Localization {
+    fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
+        let (checks_waiting, check_turn) = (Semaphore::new(CHECKS_WAITING), tokio::sync::Mutex::default());
+        Self { answered: AtomicU64::new(0), checks_waiting, check_turn, locator, feed, metrics }
+    }
+
     async fn answer(
         self: &Arc<Self>,
         request: LocalizeRequest,
         deadline: Option<Instant>,
+        lanes: &Lanes,
+        arriving: Option<Arc<Arriving>>,
     ) -> Result<LocalizeResponse, Status> {
+        drop(arriving);
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
         let (response, check) =
-            attended(deadline, move |patience| inner.work(request, patience, admitted)).await?;
+            attended(&lanes.localizing, deadline, move |patience| inner.work(request, patience, admitted))
+                .await?;
         if let Some(check) = check {
-            let inner = Arc::clone(self);
-            tokio::task::spawn_blocking(in_current_span(move || inner.run_check(check)));
+            lanes.background.spawn(Arc::clone(self).check_later(check).in_current_span());
         }
         Ok(response)
     }
 
-    /// Decodes, answers, encodes and records; computes for a while. A sampled answer is to be checked afterwards, on the
-    /// same compute slot.
+    /// Decodes, answers, encodes and records; computes for a while. A sampled answer is to be checked afterwards.
     fn work(
         &self,
         request: LocalizeRequest,
@@ -162,7 +203,7 @@ impl Localization {
             response.status_reason.push_str(&clock_in_words(clock));
         }
         self.record(&answer, &response, at.lat_deg, at.lon_deg);
-        let check = self.is_sampled().then(|| SampledCheck { request: asked.request, answer, admitted });
+        let check = self.is_sampled().then_some(SampledCheck { request: asked.request, answer });
         Ok((response, check))
     }
 
@@ -173,10 +214,24 @@ impl Localization {
         ((count + 1.0) * fraction).floor() > (count * fraction).floor()
     }
 
+    /// Checks an answer when it is its turn; when too many wait, it is left unchecked.
+    async fn check_later(self: Arc<Self>, check: SampledCheck) {
+        let outcome = OutcomeLabel { outcome: "skipped" };
+        let Ok(_waiting) = self.checks_waiting.try_acquire() else {
+            self.metrics.confirmations.get_or_create(&outcome).inc();
+            return;
+        };
+        let _turn = self.check_turn.lock().await;
+        let inner = Arc::clone(&self);
+        let checked = tokio::task::spawn_blocking(in_current_span(move || inner.run_check(&check))).await;
+        if let Err(error) = checked {
+            tracing::error!(%error, "a check did not end as it should");
+        }
+    }
+
     /// Repeats an answer with an exact engine; computes for long.
-    fn run_check(&self, check: SampledCheck) {
-        let SampledCheck { request, answer, mut admitted } = check;
-        let outcome = match self.locator.check_sample(&request, &answer, &mut admitted) {
+    fn run_check(&self, SampledCheck { request, answer }: &SampledCheck) {
+        let outcome = match self.locator.check_sample(request, answer) {
             Ok(true) => "agree",
             Ok(false) => {
                 tracing::warn!("the exact engine found another pose than the answer");
@@ -193,8 +248,7 @@ impl Localization {
     fn refuse(&self, refusal: &LocateRefusal) -> Status {
         // Without its message, which holds a position.
         tracing::debug!(reason = reason(refusal), "not located");
-        self.count(reason(refusal));
-        refused(refusal)
+        turned_away(&self.metrics, refusal)
     }
 
     fn decoded(&self, request: LocalizeRequest, patience: Patience) -> Result<DecodedRequest, InvalidField> {
@@ -294,7 +348,6 @@ fn clock_in_words(clock: &Estimated) -> String {
 struct SampledCheck {
     request: LocateRequest,
     answer: LocateAnswer,
-    admitted: Admitted,
 }
 
 /// When the caller no longer waits, as its `grpc-timeout` says.

@@ -2,12 +2,14 @@
 //!
 //! - [`invalid_field`], [`decode`]: columns of the contract to values of the core, or the path of the
 //!   field that breaks a rule.
+//! - [`admission`]: what no slot could take is refused on its headers.
 //! - [`access`]: who calls, and whether they may.
 //! - [`faults`]: what the transport could not read is the caller's fault.
 //! - [`status`]: every error as a `tonic::Status` with `google.rpc` details.
 //! - [`localize`], [`upload`], [`get_tiles`], [`get_coverage`]: one RPC each.
 
 mod access;
+mod admission;
 pub mod decode;
 mod faults;
 mod get_coverage;
@@ -18,65 +20,69 @@ pub mod status;
 mod upload;
 
 use std::sync::Arc;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use echofix_proto::v1;
+use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::lanes::{Lanes, run_on};
 use crate::locating::Expectations;
+use crate::pace::Pace;
 use crate::patience::Patience;
+use crate::shares::{Peer, Place, Pool};
 use crate::store::MapStore;
 use crate::trace::in_current_span;
 pub use access::AccessLayer;
+pub use admission::AdmissionLayer;
 pub use faults::FaultsLayer;
 pub use localize::{INTEGRITY_RISKS, LocalizationApi};
 pub use upload::MappingApi;
 
 /// One of so many readers may ask for expectations.
 const EXPECTING_SHARE: usize = 8;
+/// Requests that may be open for each that reads.
+const OPEN_FOR_ONE: usize = 4;
 
 /// Serves tiles and coverage.
 pub struct MapApi {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
-    reads: Arc<tokio::sync::Semaphore>,
+    /// Requests that are being answered, at their callers' pace.
+    open: Arc<Pool>,
+    /// Those of them that read the map.
+    reads: Arc<Semaphore>,
     /// Of those that ask for expectations, which are made one at a time: others must not wait behind them.
-    expecting: Arc<tokio::sync::Semaphore>,
-    stall: std::time::Duration,
+    expecting: Arc<Pool>,
+    lanes: Lanes,
+    pace: Pace,
 }
 
 impl MapApi {
-    /// Reads from `store`, at most `at_once` requests at a time; a caller that takes nothing for
-    /// as long as `stall` is given up.
+    /// Reads from `store`, at most `at_once` requests at a time, of which one peer may have a share; a caller that takes what it
+    /// asked for more slowly than the pace is given up.
     #[must_use]
     pub fn new(
         store: Arc<dyn MapStore>,
         expectations: Arc<Expectations>,
-        at_once: usize,
-        stall: std::time::Duration,
+        (at_once, address_share): (usize, f64),
+        (pace, lanes): (Pace, Lanes),
     ) -> Self {
-        let permits = |count| Arc::new(tokio::sync::Semaphore::new(count));
-        let (reads, expecting) = (permits(at_once), permits(at_once.div_ceil(EXPECTING_SHARE)));
-        Self { store, expectations, reads, expecting, stall }
-    }
-
-    /// The permit to read.
-    fn reader(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
-        permit(&self.reads, "too many readers at once")
-    }
-
-    /// The permit to ask for expectations.
-    fn expecter(&self) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
-        permit(&self.expecting, "too many ask for expectations at once")
+        let open = Pool::new(OPEN_FOR_ONE * at_once, address_share);
+        let expecting = Pool::new(at_once.div_ceil(EXPECTING_SHARE), address_share);
+        Self { store, expectations, open, reads: Arc::new(Semaphore::new(at_once)), expecting, lanes, pace }
     }
 }
 
-fn permit(
-    permits: &Arc<tokio::sync::Semaphore>,
-    message: &str,
-) -> Result<tokio::sync::OwnedSemaphorePermit, Status> {
-    let busy = |_| status::overloaded(message, std::time::Duration::from_secs(1));
-    permits.clone().try_acquire_owned().map_err(busy)
+/// A peer's place in a pool.
+fn place(pool: &Arc<Pool>, peer: Peer, message: &str) -> Result<Place, Status> {
+    pool.take(peer).ok_or_else(|| status::overloaded(message, Duration::from_secs(1)))
+}
+
+/// Whose connection a call came by.
+fn peer(extensions: &tonic::Extensions) -> Peer {
+    extensions.get().copied().unwrap_or_else(Peer::unknown)
 }
 
 #[tonic::async_trait]
@@ -87,20 +93,27 @@ impl v1::map_service_server::MapService for MapApi {
         &self,
         request: Request<v1::GetTilesRequest>,
     ) -> Result<Response<Self::GetTilesStream>, Status> {
-        let permit = self.reader()?;
-        get_tiles::get_tiles(self.store.clone(), request.into_inner(), permit, self.stall)
-            .await
-            .map(Response::new)
+        let place = place(&self.open, peer(request.extensions()), "too many readers at once")?;
+        let reader = get_tiles::Reader { store: self.store.clone(), reads: self.reads.clone() };
+        let call = get_tiles::get_tiles(reader, request.into_inner(), place, self.pace);
+        run_on(&self.lanes.background, call).await.map(Response::new)
     }
 
     async fn get_coverage(
         &self,
         request: Request<v1::GetCoverageRequest>,
     ) -> Result<Response<v1::GetCoverageResponse>, Status> {
-        let expecting = request.get_ref().expectations.then(|| self.expecter()).transpose()?;
-        let permits = (self.reader()?, expecting);
-        let known = (self.store.clone(), self.expectations.clone());
-        get_coverage::get_coverage(known, request.into_inner(), permits).await.map(Response::new)
+        let peer = peer(request.extensions());
+        let expects = request.get_ref().expectations;
+        let busy = "too many ask for expectations at once";
+        let expecting = expects.then(|| place(&self.expecting, peer, busy)).transpose()?;
+        let places = (place(&self.open, peer, "too many readers at once")?, expecting);
+        let (known, reads) = ((self.store.clone(), self.expectations.clone()), self.reads.clone());
+        let call = async move {
+            let permit = reads.acquire_owned().await.map_err(|_| status::gone())?;
+            get_coverage::get_coverage(known, request.into_inner(), (permit, places)).await
+        };
+        run_on(&self.lanes.background, call).await.map(Response::new)
     }
 }
 
@@ -111,7 +124,10 @@ impl v1::mapping_service_server::MappingService for MappingApi {
         request: Request<Streaming<v1::UploadRequest>>,
     ) -> Result<Response<v1::UploadResponse>, Status> {
         let caller = access::caller(request.extensions())?;
-        self.receive(request.into_inner(), &caller).await.map(Response::new)
+        let (this, peer, messages) = (self.clone(), peer(request.extensions()), request.into_inner());
+        // Messages are unpacked where they are awaited.
+        let call = async move { this.receive(messages, peer, &caller).await };
+        run_on(&self.lanes().background, call).await.map(Response::new)
     }
 }
 
@@ -127,12 +143,14 @@ pub(crate) async fn blocking<T: Send + 'static>(
 /// Runs what may block or compute for long while its caller waits: it looks at the [`Patience`] between its steps, and
 /// ends with [`status::gone`] when that is over.
 pub(crate) async fn attended<T: Send + 'static>(
+    lane: &Handle,
     deadline: Option<Instant>,
     work: impl FnOnce(&Patience) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
     // Dropped with this future, when the caller goes away or its deadline passes.
     let (patience, _waiting) = Patience::until(deadline);
-    blocking(move || work(&patience)).await?
+    let done = lane.spawn_blocking(in_current_span(move || work(&patience))).await;
+    done.map_err(|error| status::torn(&error))?
 }
 
 /// Microseconds since the Unix epoch.

@@ -1,6 +1,6 @@
 //! `MappingService.UploadRecord`: receive, check, journal, answer.
 //!
-//! - [`receive`]: the messages, bounded in bytes, detections and the caller's silence.
+//! - [`receive`]: the messages, bounded in bytes and detections.
 //! - [`evidence`]: what a vehicle gathered itself.
 
 mod evidence;
@@ -23,14 +23,18 @@ use super::access::Counted;
 use super::invalid_field::InvalidField;
 use super::{blocking, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
+use crate::lanes::Lanes;
 use crate::mapping::MappingConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::shares::{Peer, Pool};
 use crate::sparse;
 use crate::store::{MapStore, Receipt, UploadRecord};
 use receive::{ReceivedUpload, UploadBody};
 
 /// When a vehicle that was turned away should come again.
 const RETRY: Duration = Duration::from_secs(2);
+/// Uploads that are received for each that is worked on.
+const RECEIVED_FOR_ONE: usize = 2;
 
 /// Accepts uploads.
 #[derive(Clone)]
@@ -39,45 +43,54 @@ pub struct MappingApi {
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     config: Arc<MappingConfig>,
+    /// Uploads that are checked and journaled.
     permits: Arc<Semaphore>,
-    /// The longest silence of a caller.
-    stall: Duration,
+    /// Uploads that are received, at their callers' pace.
+    receiving: Arc<Pool>,
+    lanes: Lanes,
 }
 
 impl MappingApi {
-    /// Journals uploads in `store`. A caller that sends nothing for as long as `stall` is given up.
+    /// Journals uploads in `store`. Of the places to be received in, one peer may have a share.
     #[must_use]
     pub fn new(
         store: Arc<dyn MapStore>,
         feed: Arc<Feed>,
         metrics: Arc<Metrics>,
         config: MappingConfig,
-        stall: Duration,
+        (address_share, lanes): (f64, Lanes),
     ) -> Self {
         let permits = Arc::new(Semaphore::new(config.uploads_at_once));
-        Self { store, feed, metrics, config: Arc::new(config), permits, stall }
+        let receiving = Pool::new(RECEIVED_FOR_ONE * config.uploads_at_once, address_share);
+        Self { store, feed, metrics, config: Arc::new(config), permits, receiving, lanes }
+    }
+
+    pub(super) fn lanes(&self) -> &Lanes {
+        &self.lanes
     }
 
     /// One upload, from its first message to its answer.
     pub(super) async fn receive(
         &self,
         requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
+        peer: Peer,
         caller: &Counted,
     ) -> Result<UploadResponse, Status> {
-        let permit = self.permits.clone().try_acquire_owned();
-        let permit = permit.map_err(|_| self.shed("too many uploads at once"))?;
+        let place = self.receiving.take(peer).ok_or_else(|| self.shed("too many uploads at once"))?;
         let progress = *self.store.progress().borrow();
         if progress.journaled.saturating_sub(progress.epoch) > self.config.max_unfolded {
             return Err(self.shed("uploads wait to be folded"));
         }
-        let received = receive::all(requests, &self.config, self.stall, caller).await;
+        let received = receive::all(requests, &self.config, caller).await;
         let received = received.inspect_err(|_| self.count("INVALID"))?;
         let began = Instant::now();
+        // Only now: it is held for as long as work takes, whatever the caller does.
+        let permit = self.permits.clone().acquire_owned().await.map_err(|_| status::gone())?;
         let (id, this) = (received.id, self.clone());
         // Not tied to this call: once begun, it ends, whether or not the caller waits for it.
         let outcome = blocking(move || {
             let outcome = this.validate_and_commit(received);
-            drop(permit);
+            drop((permit, place));
             outcome
         })
         .await?;

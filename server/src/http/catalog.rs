@@ -17,12 +17,13 @@ use super::day::iso_date;
 use super::error::Error;
 use super::past::{EpochParameter, Shown};
 use super::raster::corners;
+use crate::shares::Peer;
 use crate::store::{MapProgress, MapStatus, MapStore, StoredTile};
 
 /// `GET /api/v1/map`
-pub async fn map(State(app): State<Arc<App>>, epoch: EpochParameter) -> Result<Response, Error> {
-    let Shown { store, artist } = app.shown(epoch).await?;
-    let body = app.limiter.work(move || {
+pub async fn map(State(app): State<Arc<App>>, peer: Peer, epoch: EpochParameter) -> Result<Response, Error> {
+    let Shown { store, artist } = app.shown(peer, epoch).await?;
+    let body = app.limiter.work(peer, move || {
         let overview = artist.overview()?;
         let (mut body, totals) = (progress_json(&store.progress().borrow()), store.totals());
         let zones = overview.zones.iter().map(|(zone, tiles)| {
@@ -74,6 +75,7 @@ pub struct PositionQuery {
 /// `GET /api/v1/tiles/at?lat=&lon=`
 pub async fn tile_at(
     State(app): State<Arc<App>>,
+    peer: Peer,
     at: Result<Query<PositionQuery>, QueryRejection>,
     epoch: EpochParameter,
 ) -> Result<Response, Error> {
@@ -81,21 +83,22 @@ pub async fn tile_at(
     let at = LatLon { lat_deg: lat, lon_deg: lon };
     let grid = Grid::of(at)?;
     let id = TileId::of(grid.zone(), grid.project(at)?);
-    described(&app, id, epoch).await
+    described(&app, peer, id, epoch).await
 }
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}`
 pub async fn tile(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Path((epsg, x, y)): Path<(String, String, String)>,
     epoch: EpochParameter,
 ) -> Result<Response, Error> {
-    described(&app, format!("{epsg}/{x}/{y}").parse()?, epoch).await
+    described(&app, peer, format!("{epsg}/{x}/{y}").parse()?, epoch).await
 }
 
-async fn described(app: &Arc<App>, id: TileId, epoch: EpochParameter) -> Result<Response, Error> {
-    let store = app.shown(epoch).await?.store;
-    Ok(fresh(app.limiter.work(move || describe(&*store, id)).await?))
+async fn described(app: &Arc<App>, peer: Peer, id: TileId, epoch: EpochParameter) -> Result<Response, Error> {
+    let store = app.shown(peer, epoch).await?.store;
+    Ok(fresh(app.limiter.work(peer, move || describe(&*store, id)).await?))
 }
 
 fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {

@@ -16,7 +16,7 @@ use super::App;
 use super::catalog::progress_json;
 use super::day::parse_date;
 use super::error::Error;
-use super::operations::{audit, diffs_json, fresh, work};
+use super::operations::{audit, decision, diffs_json, fresh};
 use super::quarantine::parse_hash;
 use crate::identity::Caller;
 use crate::store::{Contributor, LONGEST_REMARK, Preview, Proposal, Remark};
@@ -145,12 +145,12 @@ async fn decided(
     let map = || progress_json(&app.state.store.progress().borrow());
     if dry_run {
         let undoable = !matches!(proposal, Proposal::Compact(_));
-        let preview = work(app, move |operations| Ok(operations.preview(&proposal)?)).await?;
+        let preview = decision(app, move |operations| Ok(operations.preview(&proposal)?)).await?;
         return Ok(fresh(json!({ "dry_run": preview_json(&preview, undoable), "map": map() })));
     }
     let (what, why) = (in_words(&proposal), reason.clone());
     let remark = Remark { by: caller.is_known().then(|| caller.to_string()), reason };
-    let epoch = work(app, move |operations| Ok(operations.decide(&proposal, &remark)?)).await?;
+    let epoch = decision(app, move |operations| Ok(operations.decide(&proposal, &remark)?)).await?;
     audit(caller, &what, why.as_deref(), epoch);
     Ok(fresh(json!({ "epoch": epoch, "map": map() })))
 }

@@ -10,6 +10,7 @@ use serde_json::json;
 
 use crate::identity::Refusal;
 use crate::locating::NotAssessed;
+use crate::pace::TooSlow;
 use crate::sparse;
 use crate::store;
 
@@ -51,6 +52,12 @@ pub enum Error {
     /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
     Saturated(&'static str),
+    /// The body of a request comes too slowly.
+    #[error(transparent)]
+    TooSlow(#[from] TooSlow),
+    /// What is received cannot be kept.
+    #[error("the file cannot be kept while it is received: {0}")]
+    Spool(std::io::Error),
     /// No answer in time.
     #[error("no answer within {seconds} s")]
     TimedOut {
@@ -80,7 +87,8 @@ impl Error {
             Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
             Self::Refused(Refusal::NotServed) => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
-            Self::Saturated(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
             Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -104,6 +112,8 @@ impl Error {
             Self::Refused(Refusal::NotServed) => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
+            Self::TooSlow(_) => "too_slow",
+            Self::Spool(_) => "no_room",
             Self::TimedOut { .. } | Self::Gone => "timed_out",
             Self::Store(error) => match **error {
                 store::Error::Rebuilding { .. } => "rebuilding",

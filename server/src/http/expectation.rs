@@ -15,15 +15,17 @@ use super::App;
 use super::error::Error;
 use crate::locating::{Expectations, SPOTS_PER_SIDE, expected_word};
 use crate::patience::Patience;
+use crate::shares::Peer;
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}/localizability`
 pub async fn tile(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Path((epsg, x, y)): Path<(String, String, String)>,
 ) -> Result<Response, Error> {
     let id: TileId = format!("{epsg}/{x}/{y}").parse()?;
     let expectations = Arc::clone(&app.state.expectations);
-    let body = app.limiter.attended(move |patience| describe(&expectations, id, patience)).await?;
+    let body = app.limiter.attended(peer, move |patience| describe(&expectations, id, patience)).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
 }
 

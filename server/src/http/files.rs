@@ -1,7 +1,10 @@
 //! The map as files: regions out and in, backups.
 
-use std::io::{self, BufWriter, Read, Write};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Write};
+use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::body::{Body, BodyDataStream};
@@ -14,18 +17,23 @@ use echofix_core::geo::{Grid, TileId};
 use echofix_core::time::day_of;
 use serde::Deserialize;
 use serde_json::json;
+use tokio::io::{AsyncSeekExt, AsyncWriteExt};
+use tokio::runtime::Handle;
 use tokio::sync::mpsc;
+use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
 
 use super::App;
 use super::error::Error;
 use super::meridians::Meridians;
-use super::operations::{audit, work};
+use super::operations::{audit, decision};
 use super::raster::corners;
 use super::region_days::DatedRegion;
 use crate::grpc::now_us;
 use crate::identity::Caller;
+use crate::pace::{Ahead, Pace, TooSlow};
+use crate::shares::Peer;
 use crate::store::{self, MapStore, Operations, Region};
 use crate::trace::in_current_span;
 
@@ -35,6 +43,8 @@ const CHUNK: usize = 64 << 10;
 const CHUNKS: usize = 16;
 /// Bytes of an imported file, at most.
 const MAX_IMPORT: u64 = 4 << 30;
+/// How slowly a file may be taken.
+const TAKEN: Pace = Pace { stall: Duration::from_secs(30), least_per_s: 64 << 10 };
 const BINARY: &str = "application/octet-stream";
 
 /// `?box=west,south,east,north`
@@ -46,30 +56,39 @@ pub struct ExportQuery {
 /// `GET /api/v1/map/export?box=`
 pub async fn export(
     State(app): State<Arc<App>>,
+    peer: Peer,
     area: Result<Query<ExportQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let bounds = area?.0.r#box.as_deref().map_or(Ok([-180.0, -90.0, 180.0, 90.0]), bounds)?;
     let store = Arc::clone(&app.state.store);
-    let tiles = app.limiter.work(move || inside(&*store, bounds)).await?;
+    let tiles = app.limiter.work(peer, move || inside(&*store, bounds)).await?;
     if tiles.is_empty() {
         return Err(Error::NotFound("there is no map in this box".to_owned()));
     }
     let region = Region { bounds_deg: bounds, tiles };
-    streamed(&app, BINARY, "echofix-region.efx", move |operations, out| operations.export(&region, out))
+    streamed((&app, peer), BINARY, "echofix-region.efx", move |operations, out| {
+        operations.export(&region, out)
+    })
 }
 
 /// `GET /api/v1/map/backup`
 pub async fn backup(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
 ) -> Result<Response, Error> {
     audit(&caller, "take a backup", None, None);
-    streamed(&app, "application/x-tar", "echofix-backup.tar", |operations, out| operations.backup(out))
+    streamed((&app, peer), "application/x-tar", "echofix-backup.tar", |operations, out| {
+        operations.backup(out)
+    })
 }
 
 /// `POST /api/v1/map/import`
+///
+/// The file is received whole before the map hears of it: at its sender's pace it holds no permit but its own.
 pub async fn import(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
     request: Request,
 ) -> Result<Response, Error> {
@@ -77,19 +96,18 @@ pub async fn import(
     if request.headers().get(header::CONTENT_TYPE).is_none_or(|kind| kind != BINARY) {
         return Err(Error::BadRequest(format!("send the file as {BINARY}")));
     }
-    let (sender, receiver) = mpsc::channel(CHUNKS);
-    let sending = send(request.into_body().into_data_stream(), sender);
-    let importing = work(&app, move |operations| {
-        let file = ImportBody { receiver, rest: Bytes::new(), left: MAX_IMPORT };
-        let mut file = DatedRegion::new(file, day_of(now_us()));
+    let place = app.limiter.transfer(peer)?;
+    let file = received(&app.state.spool_dir, request.into_body().into_data_stream()).await?;
+    let imported = decision(&app, move |operations| {
+        let _held = place;
+        let mut file = DatedRegion::new(BufReader::new(file), day_of(now_us()));
         let imported = operations.import(&mut file);
         match file.refused() {
             Some(reason) => Err(Error::BadRequest(reason)),
             None => Ok(imported?),
         }
     });
-    let (imported, ()) = tokio::join!(importing, sending);
-    let imported = imported?;
+    let imported = imported.await?;
     audit(&caller, &format!("import file {}", imported.file), None, Some(imported.epoch));
     let body = json!({
         "file": imported.file.to_string(),
@@ -100,58 +118,55 @@ pub async fn import(
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
 }
 
-async fn send(mut body: BodyDataStream, sender: mpsc::Sender<io::Result<Bytes>>) {
+/// A body as a file without a name, which is gone with its last handle.
+async fn received(dir: &Path, mut body: BodyDataStream) -> Result<File, Error> {
+    let dir = dir.to_owned();
+    let unnamed = tokio::task::spawn_blocking(move || tempfile::tempfile_in(dir)).await?;
+    let mut file = tokio::fs::File::from_std(unnamed.map_err(Error::Spool)?);
+    let mut left = MAX_IMPORT;
     while let Some(chunk) = body.next().await {
-        let chunk = chunk.map_err(|error| io::Error::other(error.to_string()));
-        // The receiver is gone once the import has failed.
-        if sender.send(chunk).await.is_err() {
-            return;
-        }
+        let chunk = chunk.map_err(|error| not_received(&error))?;
+        let larger = || Error::BadRequest(format!("the file is larger than {MAX_IMPORT} bytes"));
+        left = left.checked_sub(chunk.len() as u64).ok_or_else(larger)?;
+        file.write_all(&chunk).await.map_err(Error::Spool)?;
     }
+    file.flush().await.map_err(Error::Spool)?;
+    file.rewind().await.map_err(Error::Spool)?;
+    Ok(file.into_std().await)
 }
 
-/// A body that is read in blocking work.
-struct ImportBody {
-    receiver: mpsc::Receiver<io::Result<Bytes>>,
-    rest: Bytes,
-    left: u64,
-}
-
-impl Read for ImportBody {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        while self.rest.is_empty() {
-            match self.receiver.blocking_recv() {
-                Some(chunk) => self.rest = chunk?,
-                None => return Ok(0),
-            }
-            let larger = || io::Error::other(format!("the file is larger than {MAX_IMPORT} bytes"));
-            self.left = self.left.checked_sub(self.rest.len() as u64).ok_or_else(larger)?;
+/// A body that ended early: too slow, or its peer is gone.
+fn not_received(error: &axum::Error) -> Error {
+    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(error) = cause {
+        if let Some(slow) = error.downcast_ref::<TooSlow>() {
+            return Error::TooSlow(*slow);
         }
-        let count = out.len().min(self.rest.len());
-        out[..count].copy_from_slice(&self.rest.split_to(count));
-        Ok(count)
+        cause = error.source();
     }
+    Error::BadRequest(format!("the file did not come whole: {error}"))
 }
 
 /// A file that is sent while it is made. When making it fails, the connection breaks, so that half a
 /// file is not taken for a whole one.
 fn streamed(
-    app: &App,
+    (app, peer): (&App, Peer),
     kind: &'static str,
     name: &str,
     make: impl FnOnce(&dyn Operations, &mut dyn Write) -> Result<u64, store::Error> + Send + 'static,
 ) -> Result<Response, Error> {
     let (sender, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     let operations = Arc::clone(&app.state.operations);
-    let permit = app.limiter.operate()?;
+    let place = app.limiter.transfer(peer)?;
     tokio::task::spawn_blocking(in_current_span(move || {
-        let _held = permit;
-        let mut out = BufWriter::with_capacity(CHUNK, BodyWriter(sender.clone()));
+        let _held = place;
+        let (ahead, runtime) = (Ahead::new(TAKEN), Handle::current());
+        let mut out = BufWriter::with_capacity(CHUNK, BodyWriter { sender: sender.clone(), ahead, runtime });
         let made = make(&*operations, &mut out).map_err(NotSent::from);
         if let Err(error) = made.and_then(|_| Ok(out.flush()?)) {
             tracing::warn!(%error, "a file was not sent whole");
-            // The reader may be gone.
-            let _ = sender.blocking_send(Err(io::Error::other(error)));
+            // The reader may be gone, or take nothing.
+            let _ = sender.try_send(Err(io::Error::other(error)));
         }
     }));
     let disposition = format!("attachment; filename=\"{name}\"");
@@ -172,12 +187,23 @@ enum NotSent {
     Rest(#[from] io::Error),
 }
 
-struct BodyWriter(mpsc::Sender<io::Result<Bytes>>);
+/// Hands a file on, as fast as its reader takes it, and fails when that is too slow.
+struct BodyWriter {
+    sender: mpsc::Sender<io::Result<Bytes>>,
+    ahead: Ahead,
+    runtime: Handle,
+}
 
 impl Write for BodyWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
-        self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes))).map_err(gone)?;
+        let now = Instant::now();
+        let patience = self.ahead.until(now).saturating_duration_since(now);
+        let sending = self.sender.send_timeout(Ok(Bytes::copy_from_slice(bytes)), patience);
+        self.runtime.block_on(sending).map_err(|error| match error {
+            SendTimeoutError::Timeout(_) => io::Error::from(io::ErrorKind::TimedOut),
+            SendTimeoutError::Closed(_) => io::Error::from(io::ErrorKind::BrokenPipe),
+        })?;
+        self.ahead.came(bytes.len(), Instant::now());
         Ok(bytes.len())
     }
 

@@ -12,6 +12,7 @@ use super::App;
 use super::error::Error;
 use super::past::EpochParameter;
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
+use crate::shares::Peer;
 
 /// The whole of Web Mercator, for a map that is empty.
 const WORLD: [f64; 4] = [-180.0, -85.051_129, 180.0, 85.051_129];
@@ -19,15 +20,16 @@ const WORLD: [f64; 4] = [-180.0, -85.051_129, 180.0, 85.051_129];
 /// `GET /tiles/{layer}/{z}/{x}/{y}.png`, also `{y}@2x.png`
 pub async fn tile(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Path((layer, z, x, file)): Path<(String, String, String, String)>,
     epoch: EpochParameter,
     headers: HeaderMap,
 ) -> Result<Response, Error> {
     let layer: Layer = layer.parse()?;
     let view = View::parse(&z, &x, &file)?;
-    let artist: Arc<Artist> = app.shown(epoch).await?.artist;
+    let artist: Arc<Artist> = app.shown(peer, epoch).await?.artist;
     let draw = move |patience: &_| artist.draw(layer, view, |tag| is_known(&headers, tag), patience);
-    let answer = app.limiter.attended(draw).await?;
+    let answer = app.limiter.attended(peer, draw).await?;
     let headers = [(header::ETAG, answer.tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
     Ok(match answer.png {
         Some(png) => (headers, [(header::CONTENT_TYPE, "image/png")], png).into_response(),
@@ -47,6 +49,7 @@ fn is_known(headers: &HeaderMap, tag: &str) -> bool {
 /// `GET /tiles/{layer}.json`
 pub async fn tilejson(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Path(file): Path<String>,
     epoch: EpochParameter,
     headers: HeaderMap,
@@ -55,8 +58,8 @@ pub async fn tilejson(
         || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
     let layer: Layer = file.strip_suffix(".json").ok_or_else(expected)?.parse()?;
     let of_epoch = epoch.as_ref().ok().and_then(|epoch| epoch.0.query()).unwrap_or_default();
-    let artist = app.shown(epoch).await?.artist;
-    let overview = app.limiter.work(move || artist.overview()).await?;
+    let artist = app.shown(peer, epoch).await?.artist;
+    let overview = app.limiter.work(peer, move || artist.overview()).await?;
     let body = json!({
         "tilejson": "3.0.0",
         "name": format!("Echofix {layer}"),

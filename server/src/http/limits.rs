@@ -12,6 +12,7 @@ use tokio::time::timeout;
 
 use super::error::Error;
 use crate::patience::Patience;
+use crate::shares::{Peer, Place, Pool};
 use crate::trace::in_current_span;
 
 /// Longest address served, bytes; the longest sensible one is a tenth of it.
@@ -20,8 +21,11 @@ const MAX_ADDRESS: usize = 1024;
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 /// Time for an operation on the whole map to be done: it may fold the journal again.
 const OPERATE_WITHIN: Duration = Duration::from_hours(1);
-/// Operations on the whole map at once.
-const OPERATIONS: usize = 2;
+/// Looks at the whole map at once, and decisions about it.
+const OPERATIONS: usize = 4;
+const DECISIONS: usize = 2;
+/// Files that are sent or received at once.
+const TRANSFERS: usize = 4;
 /// Requests that may wait for a permit to render.
 const WAITING: usize = 64;
 /// Time a request waits for a permit to render.
@@ -58,28 +62,32 @@ fn with_safe_headers(mut response: Response) -> Response {
 
 /// Permits to work, so that many page views cannot take the machine from the vehicles.
 pub struct Limiter {
-    waiting: Arc<Semaphore>,
+    waiting: Arc<Pool>,
     working: Arc<Semaphore>,
-    listening: Arc<Semaphore>,
-    operating: Arc<Semaphore>,
-}
-
-impl Default for Limiter {
-    fn default() -> Self {
-        let cores = std::thread::available_parallelism().map_or(2, usize::from);
-        Self::new(WAITING, cores.div_ceil(2), LISTENERS)
-    }
+    listening: Arc<Pool>,
+    operating: Arc<Pool>,
+    transferring: Arc<Pool>,
+    /// Nobody who only looks at the map can keep an operator from deciding about it.
+    deciding: Arc<Semaphore>,
 }
 
 impl Limiter {
+    /// The limits of a port, of which one peer may have a share.
+    pub fn of_port(share: f64) -> Self {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        Self::new((WAITING, cores.div_ceil(2), LISTENERS), share)
+    }
+
     /// So many may wait, work and listen at once.
-    pub fn new(waiting: usize, working: usize, listening: usize) -> Self {
+    fn new((waiting, working, listening): (usize, usize, usize), share: f64) -> Self {
         let semaphore = |n| Arc::new(Semaphore::new(n));
         Self {
-            waiting: semaphore(waiting),
+            waiting: Pool::new(waiting, share),
             working: semaphore(working),
-            listening: semaphore(listening),
-            operating: semaphore(OPERATIONS),
+            listening: Pool::new(listening, share),
+            operating: Pool::new(OPERATIONS, share),
+            transferring: Pool::new(TRANSFERS, share),
+            deciding: semaphore(DECISIONS),
         }
     }
 
@@ -89,9 +97,10 @@ impl Limiter {
     /// When too many wait already or the wait is too long.
     pub async fn work<T: Send + 'static>(
         &self,
+        peer: Peer,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        self.attended(move |_| work()).await
+        self.attended(peer, move |_| work()).await
     }
 
     /// The same for work that may take long: it looks between its steps whether its caller still waits.
@@ -100,10 +109,11 @@ impl Limiter {
     /// When too many wait already, the wait is too long, or the caller is gone.
     pub async fn attended<T: Send + 'static>(
         &self,
+        peer: Peer,
         work: impl FnOnce(&Patience) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
         const FULL: Error = Error::Saturated("all permits to render are taken");
-        let queued = Arc::clone(&self.waiting).try_acquire_owned().map_err(|_| FULL)?;
+        let queued = self.waiting.take(peer).ok_or(FULL)?;
         let permit = timeout(WAIT_AT_MOST, Arc::clone(&self.working).acquire_owned()).await;
         let permit = permit.map_err(|_| FULL)?.map_err(|_| FULL)?;
         let (patience, _waiting) = Patience::until(None);
@@ -115,22 +125,37 @@ impl Limiter {
         .await?
     }
 
-    /// A permit for an operation on the whole map, returned when dropped.
+    /// A place for a look at the whole map, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
-    pub fn operate(&self) -> Result<OwnedSemaphorePermit, Error> {
-        const FULL: Error = Error::Saturated("other operations on the map are under way");
-        Arc::clone(&self.operating).try_acquire_owned().map_err(|_| FULL)
+    pub fn operate(&self, peer: Peer) -> Result<Place, Error> {
+        self.operating.take(peer).ok_or(Error::Saturated("other operations on the map are under way"))
     }
 
-    /// A permit for an event stream, returned when dropped.
+    /// A permit for a decision about the map, returned when dropped.
     ///
     /// # Errors
     /// When all are taken.
-    pub fn listen(&self) -> Result<OwnedSemaphorePermit, Error> {
-        const FULL: Error = Error::Saturated("all event streams are taken");
-        Arc::clone(&self.listening).try_acquire_owned().map_err(|_| FULL)
+    pub fn decide(&self) -> Result<OwnedSemaphorePermit, Error> {
+        const FULL: Error = Error::Saturated("other decisions about the map are under way");
+        Arc::clone(&self.deciding).try_acquire_owned().map_err(|_| FULL)
+    }
+
+    /// A place for a file that comes or goes at its peer's pace, returned when dropped.
+    ///
+    /// # Errors
+    /// When all are taken.
+    pub fn transfer(&self, peer: Peer) -> Result<Place, Error> {
+        self.transferring.take(peer).ok_or(Error::Saturated("other files are being sent or received"))
+    }
+
+    /// A place for an event stream, returned when dropped.
+    ///
+    /// # Errors
+    /// When all are taken.
+    pub fn listen(&self, peer: Peer) -> Result<Place, Error> {
+        self.listening.take(peer).ok_or(Error::Saturated("all event streams are taken"))
     }
 }
 
@@ -140,26 +165,26 @@ mod tests {
 
     #[tokio::test]
     async fn requests_beyond_the_queue_are_refused_at_once() {
-        let limiter = Limiter::new(1, 1, 1);
+        let limiter = Limiter::new((1, 1, 1), 1.0);
         let (release, wait) = std::sync::mpsc::channel::<()>();
-        let busy = limiter.work(move || Ok(wait.recv().is_ok()));
+        let busy = limiter.work(Peer::unknown(), move || Ok(wait.recv().is_ok()));
         let turned_away = async {
-            let answer = limiter.work(|| Ok(())).await;
+            let answer = limiter.work(Peer::unknown(), || Ok(())).await;
             release.send(()).unwrap();
             answer
         };
         let (busy, turned_away) = tokio::join!(busy, turned_away);
         assert!(busy.unwrap());
         assert!(matches!(turned_away, Err(Error::Saturated(_))));
-        limiter.work(|| Ok(())).await.unwrap();
+        limiter.work(Peer::unknown(), || Ok(())).await.unwrap();
     }
 
     /// Catches: a picture of a whole city that is drawn for a page that was closed.
     #[tokio::test]
     async fn work_ends_with_its_caller() {
-        let limiter = Limiter::new(1, 1, 1);
+        let limiter = Limiter::new((1, 1, 1), 1.0);
         let (ended, end) = std::sync::mpsc::channel();
-        let work = limiter.attended(move |patience| {
+        let work = limiter.attended(Peer::unknown(), move |patience| {
             while !patience.is_over() {
                 std::thread::sleep(Duration::from_millis(1));
             }
@@ -171,10 +196,10 @@ mod tests {
 
     #[test]
     fn listeners_are_bounded_and_their_permit_comes_back() {
-        let limiter = Limiter::new(1, 1, 1);
-        let first = limiter.listen().unwrap();
-        assert!(matches!(limiter.listen(), Err(Error::Saturated(_))));
+        let limiter = Limiter::new((1, 1, 1), 1.0);
+        let first = limiter.listen(Peer::unknown()).unwrap();
+        assert!(matches!(limiter.listen(Peer::unknown()), Err(Error::Saturated(_))));
         drop(first);
-        assert!(limiter.listen().is_ok());
+        assert!(limiter.listen(Peer::unknown()).is_ok());
     }
 }

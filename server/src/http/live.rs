@@ -19,6 +19,7 @@ use tokio_stream::{Stream, StreamExt};
 use super::error::Error;
 use super::{App, catalog, probes};
 use crate::identity::{Caller, Role};
+use crate::shares::Peer;
 
 const MAX_LIMIT: usize = 500;
 /// How often a listener hears something, at least.
@@ -62,9 +63,10 @@ fn fresh(body: serde_json::Value) -> Response {
 /// operators are told of them.
 pub async fn events(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
 ) -> Result<impl IntoResponse, Error> {
-    let permit = app.limiter.listen()?;
+    let permit = app.limiter.listen(peer)?;
     let feed = &app.state.feed;
     let sees_fixes = caller.may(Role::Operator);
     let map =

@@ -45,6 +45,7 @@ mod session;
 #[cfg(test)]
 pub(crate) mod testing;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::Router;
@@ -81,6 +82,10 @@ pub struct HttpState {
     pub metrics: Arc<Metrics>,
     /// Whether the service is ready.
     pub health: Arc<Health>,
+    /// Where files are kept while they are received.
+    pub spool_dir: PathBuf,
+    /// The part of what is bounded that one peer may have.
+    pub address_share: f64,
     /// Turns true when the service drains: answers without an end must end then.
     pub ending: watch::Receiver<bool>,
 }
@@ -103,7 +108,7 @@ pub fn router(state: HttpState) -> Router {
 pub fn router_at(state: HttpState, hosts: Hosts, gate: Arc<Gate>) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
-    let (past, limiter) = (past::PastMaps::default(), limits::Limiter::default());
+    let (past, limiter) = (past::PastMaps::default(), limits::Limiter::of_port(state.address_share));
     let app = Arc::new(App { state, artist, past, limiter, gate });
     routes()
         .into_iter()

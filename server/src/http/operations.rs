@@ -17,6 +17,7 @@ use super::error::Error;
 use super::quarantine::hash_word;
 use super::raster::corners;
 use crate::identity::Caller;
+use crate::shares::Peer;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, TileDiff};
 use crate::trace::in_current_span;
 
@@ -34,6 +35,7 @@ pub struct HistoryQuery {
 /// `GET /api/v1/map/history?limit=`, newest first
 pub async fn history(
     State(app): State<Arc<App>>,
+    peer: Peer,
     limit: Result<Query<HistoryQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let limit = limit?.0.limit.unwrap_or(100);
@@ -42,7 +44,7 @@ pub async fn history(
     }
     let operations = Arc::clone(&app.state.operations);
     // It is read from memory: no operation that folds the map is waited for.
-    let found = app.limiter.work(move || Ok((operations.history(limit), operations.epochs())));
+    let found = app.limiter.work(peer, move || Ok((operations.history(limit), operations.epochs())));
     let (events, (oldest, newest)) = found.await?;
     let events: Vec<_> = events.iter().map(event).collect();
     Ok(fresh(json!({ "events": events, "oldest": oldest, "newest": newest })))
@@ -89,10 +91,11 @@ pub struct DiffQuery {
 /// `GET /api/v1/map/diff?from=&to=`
 pub async fn diff(
     State(app): State<Arc<App>>,
+    peer: Peer,
     span: Result<Query<DiffQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let Query(DiffQuery { from, to }) = span?;
-    let diffs = work(&app, move |operations| Ok(operations.diff(from, to)?)).await?;
+    let diffs = work(&app, peer, move |operations| Ok(operations.diff(from, to)?)).await?;
     let mut body = diffs_json(&diffs);
     (body["from"], body["to"]) = (from.into(), to.into());
     Ok(fresh(body))
@@ -134,13 +137,14 @@ pub struct VerifyQuery {
 pub async fn verify(
     method: Method,
     State(app): State<Arc<App>>,
+    peer: Peer,
     replay: Result<Query<VerifyQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let Query(VerifyQuery { replay }) = replay?;
     if replay && method != Method::POST {
         return Err(Error::PostOnly("a replay"));
     }
-    let found = work(&app, move |operations| Ok(operations.verify(replay)?)).await?;
+    let found = work(&app, peer, move |operations| Ok(operations.verify(replay)?)).await?;
     Ok(fresh(json!({
         "sound": found.damage.is_empty(),
         "records": found.records,
@@ -159,10 +163,26 @@ pub(super) fn audit(caller: &Caller, what: &str, why: Option<&str>, epoch: Optio
 /// Runs blocking work under a permit of its own kind: it may take long, and pictures must not wait for it.
 pub async fn work<T: Send + 'static>(
     app: &App,
+    peer: Peer,
+    work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    held(app, app.limiter.operate(peer)?, work).await
+}
+
+/// The same for what changes the map.
+pub async fn decision<T: Send + 'static>(
+    app: &App,
+    decide: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    held(app, app.limiter.decide()?, decide).await
+}
+
+async fn held<T: Send + 'static>(
+    app: &App,
+    permit: impl Send + 'static,
     work: impl FnOnce(&dyn Operations) -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
     let operations = Arc::clone(&app.state.operations);
-    let permit = app.limiter.operate()?;
     tokio::task::spawn_blocking(in_current_span(move || {
         // Held by the work, not by the request.
         let _held = permit;

@@ -13,6 +13,7 @@ use super::App;
 use super::error::Error;
 use super::operations::work;
 use super::raster::Artist;
+use crate::shares::Peer;
 use crate::store::MapStore;
 
 /// Maps of the past in memory at once: the two that somebody compares.
@@ -63,7 +64,7 @@ impl App {
     ///
     /// # Errors
     /// When there is no such epoch, or its map cannot be folded for the moment.
-    pub(super) async fn shown(self: &Arc<Self>, epoch: EpochParameter) -> Result<Shown, Error> {
+    pub(super) async fn shown(self: &Arc<Self>, peer: Peer, epoch: EpochParameter) -> Result<Shown, Error> {
         let Some(epoch) = epoch?.0.epoch else {
             return Ok(Shown { store: Arc::clone(&self.state.store), artist: Arc::clone(&self.artist) });
         };
@@ -81,7 +82,7 @@ impl App {
             return Ok(shown);
         }
         let expectations = Arc::clone(&self.state.expectations);
-        let shown = work(self, move |operations| {
+        let shown = work(self, peer, move |operations| {
             let store = operations.served_at(epoch)?;
             let expectations = Arc::new(expectations.over(Arc::clone(&store)));
             let artist = Arc::new(Artist::new(Arc::clone(&store), expectations));

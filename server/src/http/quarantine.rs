@@ -18,16 +18,17 @@ use super::day::iso_date;
 use super::error::Error;
 use super::operations::fresh;
 use crate::feed::QuarantineEvent;
+use crate::shares::Peer;
 use crate::store::QuarantinedRecord;
 
 /// Uploads that are listed, at most.
 const MAX_LISTED: usize = 10_000;
 
 /// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, newest first, and what they agree on
-pub async fn quarantine(State(app): State<Arc<App>>) -> Result<Response, Error> {
+pub async fn quarantine(State(app): State<Arc<App>>, peer: Peer) -> Result<Response, Error> {
     let limits = app.state.alarm_limits;
     let operations = Arc::clone(&app.state.operations);
-    let read = app.limiter.work(move || {
+    let read = app.limiter.work(peer, move || {
         let kept_out = operations.quarantined()?;
         let entries: Vec<_> = kept_out.iter().map(|quarantined| quarantined.upload).collect();
         let listed = kept_out.iter().rev().take(MAX_LISTED).map(|record| record.number).collect();

@@ -277,6 +277,8 @@ impl TestSite {
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
+            spool_dir: std::env::temp_dir(),
+            address_share: 1.0,
             ending: ending.subscribe(),
         };
         Self { store, state: state.clone(), ending, router: router(state) }
@@ -321,6 +323,8 @@ impl StoredSite {
             feed: Arc::default(),
             metrics: Arc::default(),
             health: Arc::default(),
+            spool_dir: std::env::temp_dir(),
+            address_share: 1.0,
             ending: watch::Sender::new(false).subscribe(),
         });
         let site = Self { store, uploads, router, _dir: dir };

@@ -6,7 +6,7 @@ mod expectation;
 mod prepared_tiles;
 mod slots;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use config::LocatingConfig;
@@ -25,6 +25,7 @@ pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation
 use crate::patience::Patience;
 use crate::store::{self, MapStore, Withheld};
 use prepared_tiles::{PreparedTiles, PreparedWindow};
+pub use slots::Arriving;
 use slots::{ComputeSlot, ComputeSlots};
 
 /// A batch, what the vehicle believes, and what it needs.
@@ -206,6 +207,7 @@ pub struct Locator {
     config: LocatingConfig,
     tiles: PreparedTiles,
     slots: ComputeSlots,
+    checker: Mutex<Aligner>,
 }
 
 impl Locator {
@@ -214,12 +216,20 @@ impl Locator {
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
         let tiles = PreparedTiles::new(config.tile_cache_mib);
         let slots = ComputeSlots::new(config.threads(), config.queue);
-        Self { store, config, tiles, slots }
+        Self { store, config, tiles, slots, checker: Mutex::default() }
     }
 
     /// How it locates: the `[locating]` section.
     pub fn config(&self) -> &LocatingConfig {
         &self.config
+    }
+
+    /// A place for a request of which only the headers are here.
+    ///
+    /// # Errors
+    /// When all are taken: then its body need not be received.
+    pub fn expect(&self) -> Result<Arriving, LocateRefusal> {
+        self.slots.expect()
     }
 
     /// Waits for a compute slot, in order of arrival. Take it before a request is decoded: that
@@ -259,14 +269,15 @@ impl Locator {
         &self,
         request: &LocateRequest,
         answer: &LocateAnswer,
-        admitted: &mut Admitted,
     ) -> Result<bool, LocateRefusal> {
+        // Beside the slots: who waits for one must not wait for a check. One at a time, whose buffers remain.
+        let mut checker = self.checker.lock().unwrap_or_else(PoisonError::into_inner);
         let placed = self.placed_prior(request)?;
         let found = self.tiles.get(&*self.store, placed.frame).map_err(LocateRefusal::Store)?;
         let task =
             Task { square: placed.frame, tiles: &found.tiles, batch: &request.batch, prior: &placed.prior };
         let (search, integrity) = (self.config.search(), self.config.integrity());
-        let again = admitted.slot.aligner().align(&task, EngineKind::Fft.engine(), &search, &integrity);
+        let again = checker.align(&task, EngineKind::Fft.engine(), &search, &integrity);
         Ok(again.correction.distance_m(&answer.found) < AGREES_WITHIN_M)
     }
 

@@ -1,7 +1,8 @@
 //! Compute slots: alignment takes a core for a while, so only so many run and only so many wait.
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use echofix_core::align::Aligner;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -11,9 +12,13 @@ use super::LocateRefusal;
 /// How long a refused request is asked to wait.
 const RETRY_AFTER: Duration = Duration::from_millis(200);
 
+/// For how long a request that is still being received keeps its place: no caller can hold one by sending slowly.
+const ARRIVES_WITHIN: Duration = Duration::from_millis(250);
+
 /// Slots with their buffers.
 pub(super) struct ComputeSlots {
     capacity: usize,
+    arriving: Arc<Mutex<Arrivals>>,
     /// Requests that run or wait.
     admitted: Arc<Semaphore>,
     /// Requests that run.
@@ -34,21 +39,66 @@ impl ComputeSlots {
         let capacity = threads + queue;
         Self {
             capacity,
+            arriving: Arc::default(),
             admitted: Arc::new(Semaphore::new(capacity)),
             running: Arc::new(Semaphore::new(threads)),
             aligners: Arc::default(),
         }
     }
 
+    /// A place for a request of which only the headers are here; refuses when those that run, wait and arrive leave none.
+    pub(super) fn expect(&self) -> Result<Arriving, LocateRefusal> {
+        let mut arrivals = lock(&self.arriving);
+        let now = Instant::now();
+        arrivals.forget_before(now.checked_sub(ARRIVES_WITHIN));
+        if arrivals.coming.len() >= self.admitted.available_permits() {
+            return Err(self.overloaded());
+        }
+        let number = arrivals.next;
+        arrivals.next += 1;
+        arrivals.coming.insert((now, number));
+        Ok(Arriving { at: (now, number), home: Arc::clone(&self.arriving) })
+    }
+
+    fn overloaded(&self) -> LocateRefusal {
+        LocateRefusal::Overloaded { waiting: self.capacity, retry_after: RETRY_AFTER }
+    }
+
     /// Waits for a slot in order of arrival; refuses at once when too many wait already.
     pub(super) async fn take(&self) -> Result<ComputeSlot, LocateRefusal> {
-        let overloaded = |_| LocateRefusal::Overloaded { waiting: self.capacity, retry_after: RETRY_AFTER };
-        let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(overloaded)?;
+        let admitted = Arc::clone(&self.admitted).try_acquire_owned().map_err(|_| self.overloaded())?;
         let running = Arc::clone(&self.running).acquire_owned().await;
         let running = running.map_err(|_| LocateRefusal::Ending)?;
         let aligner = lock(&self.aligners).pop().unwrap_or_default();
         let home = Arc::clone(&self.aligners);
         Ok(ComputeSlot { aligner: Some(aligner), home, _admitted: admitted, _running: running })
+    }
+}
+
+/// Requests that are being received, by when they began.
+#[derive(Default)]
+struct Arrivals {
+    coming: BTreeSet<(Instant, u64)>,
+    next: u64,
+}
+
+impl Arrivals {
+    fn forget_before(&mut self, oldest: Option<Instant>) {
+        if let Some(oldest) = oldest {
+            self.coming = self.coming.split_off(&(oldest, 0));
+        }
+    }
+}
+
+/// The place of a request that is being received, given back when dropped.
+pub struct Arriving {
+    at: (Instant, u64),
+    home: Arc<Mutex<Arrivals>>,
+}
+
+impl Drop for Arriving {
+    fn drop(&mut self) {
+        lock(&self.home).coming.remove(&self.at);
     }
 }
 
@@ -64,9 +114,9 @@ impl Drop for ComputeSlot {
     }
 }
 
-fn lock(aligners: &Mutex<Vec<Aligner>>) -> std::sync::MutexGuard<'_, Vec<Aligner>> {
+fn lock<T>(list: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     // A panic while holding the lock leaves a list that is still a list.
-    aligners.lock().unwrap_or_else(PoisonError::into_inner)
+    list.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -84,6 +134,24 @@ mod tests {
         let second = second.await.unwrap();
         drop(second);
         assert!(slots.take().await.is_ok());
+    }
+
+    /// Catches: bodies that are received and decoded for places that are taken, and places that slow callers keep.
+    #[tokio::test]
+    async fn who_arrives_has_a_place_for_a_moment() {
+        let slots = ComputeSlots::new(1, 2);
+        let running = slots.take().await.unwrap();
+        let arriving = [slots.expect().unwrap(), slots.expect().unwrap()];
+        assert!(matches!(slots.expect(), Err(LocateRefusal::Overloaded { waiting: 3, .. })));
+        drop(running);
+        let third = slots.expect().unwrap();
+        assert!(slots.expect().is_err());
+        drop((third, arriving));
+        let slow: Vec<_> = (0..3).map(|_| slots.expect().unwrap()).collect();
+        assert!(slots.expect().is_err());
+        tokio::time::sleep(ARRIVES_WITHIN * 2).await;
+        assert!(slots.expect().is_ok(), "they arrive too slowly");
+        drop(slow);
     }
 
     #[tokio::test]

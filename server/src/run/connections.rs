@@ -2,26 +2,31 @@
 
 mod door;
 mod frames;
+mod registry;
 
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpListener;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::futures::OwnedNotified;
+use tokio::sync::mpsc;
 use tokio::time::{Sleep, sleep};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 
-use crate::identity::{Closing, Entry, Peer};
+use crate::config::LimitsConfig;
+use crate::identity::{self, Closing};
+use crate::shares::Peer;
 use crate::sparse;
 pub(super) use door::Door;
 use door::{Opened, Stream};
 use frames::FrameCount;
+pub(super) use registry::{ConnectionUse, InUse};
+use registry::{Entry, Registry};
 
 /// How long accepting rests when the system has no more descriptors.
 const REST: Duration = Duration::from_millis(50);
@@ -29,14 +34,16 @@ const REST: Duration = Duration::from_millis(50);
 /// Takes connections off a port, a bounded number at a time.
 pub(super) struct Acceptor {
     listener: TcpListener,
-    permits: Arc<Semaphore>,
+    registry: Registry,
     handshake: Duration,
+    idle: Duration,
     door: Door,
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, connections: usize, handshake: Duration, door: Door) -> Self {
-        Self { listener, permits: Arc::new(Semaphore::new(connections)), handshake, door }
+    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door) -> Self {
+        let registry = Registry::new(limits.connections, limits.address_share);
+        Self { listener, registry, handshake: limits.handshake(), idle: limits.idle(), door }
     }
 
     /// The connections from now on, until the receiver is dropped.
@@ -46,14 +53,15 @@ impl Acceptor {
             loop {
                 tokio::select! {
                     () = self.next(&sender) => {}
-                    () = sender.closed() => return,
+                    () = sender.closed() => break,
                 }
             }
+            self.registry.close_silent();
         });
         ReceiverStream::new(receiver)
     }
 
-    /// Lets the next connection in that there is a permit for; others are closed at once. TLS keeps nobody else waiting.
+    /// Lets the next connection in that there is room for; others are closed at once. TLS keeps nobody else waiting.
     async fn next(&self, sender: &mpsc::Sender<Connection>) {
         loop {
             let (stream, address) = match self.listener.accept().await {
@@ -66,30 +74,35 @@ impl Acceptor {
                     continue;
                 }
             };
-            let Ok(permit) = self.permits.clone().try_acquire_owned() else {
+            let now = Instant::now();
+            let used = ConnectionUse::new(Peer::at(address.ip()), now);
+            let Some(place) = self.registry.enter(&used, now) else {
                 tracing::debug!("closed a connection: too many");
                 continue;
             };
             // Small messages go out at once. A socket that refuses the option works without.
             let _ = stream.set_nodelay(true);
             let mut deadline = Box::pin(sleep(self.handshake));
-            let (door, sender) = (self.door.clone(), sender.clone());
+            let (door, sender, idle) = (self.door.clone(), sender.clone(), self.idle);
             tokio::spawn(async move {
                 let opened = tokio::select! {
                     opened = door.open(stream, address) => opened,
                     () = &mut deadline => None,
                 };
                 let Some(Opened { stream, entry, closing }) = opened else { return };
-                let first_request = FirstRequest { came: Arc::default(), entry: Arc::new(entry) };
                 let frames = FrameCount::new(Instant::now());
+                let making_room = Box::pin(used.closing());
+                let origin = Origin { used, entry: Arc::new(entry) };
                 let connection = Connection {
                     stream,
                     deadline,
                     closing,
                     told_to_go: false,
-                    first_request,
+                    making_room,
+                    idle,
+                    origin,
                     frames,
-                    _permit: permit,
+                    _place: place,
                 };
                 // Nobody takes it once the port is closed.
                 let _ = sender.send(connection).await;
@@ -99,42 +112,57 @@ impl Acceptor {
     }
 }
 
-/// Whether a connection's first request is still awaited, and whose connection it is.
+/// Where a call comes from: the use of its connection, and the other end of it.
 #[derive(Clone)]
-pub(super) struct FirstRequest {
-    came: Arc<AtomicBool>,
-    entry: Arc<Entry>,
+pub(super) struct Origin {
+    pub(super) used: ConnectionUse,
+    entry: Arc<identity::Entry>,
 }
 
-impl FirstRequest {
-    /// A request came.
-    pub(super) fn came(&self) {
-        self.came.store(true, Ordering::Relaxed);
-    }
-
+impl Origin {
     /// The other end of its connection.
-    pub(super) fn peer(&self) -> &Arc<Peer> {
+    pub(super) fn peer(&self) -> &Arc<identity::Peer> {
         self.entry.peer()
     }
-
-    fn is_over(&self) -> bool {
-        self.came.load(Ordering::Relaxed)
-    }
 }
 
-/// A connection that ends when its first request does not come in time, whatever else it sends, and when it sends frames
-/// without end that carry none.
+/// A connection that ends when its first request does not come in time, whatever else it sends, when it sends frames
+/// without end that carry none, when it was idle for long, and when it has to make room for another.
 pub(super) struct Connection {
     stream: Stream,
+    /// Of the first request; then when idleness is looked at again.
     deadline: Pin<Box<Sleep>>,
     closing: Closing,
     told_to_go: bool,
-    pub(super) first_request: FirstRequest,
+    making_room: Pin<Box<OwnedNotified>>,
+    idle: Duration,
+    pub(super) origin: Origin,
     frames: FrameCount,
-    _permit: OwnedSemaphorePermit,
+    _place: Entry,
 }
 
 impl Connection {
+    /// Is its time over? `Some` with an error where it never was of use.
+    fn is_over(&mut self, cx: &mut Context<'_>) -> Option<io::Result<()>> {
+        if self.making_room.as_mut().poll(cx).is_ready() {
+            return Some(Ok(()));
+        }
+        while self.deadline.as_mut().poll(cx).is_ready() {
+            // A request that came in the same moment is served.
+            if !self.origin.used.was_requested() {
+                return Some(Err(io::ErrorKind::TimedOut.into()));
+            }
+            let idle = self.origin.used.idle(Instant::now()).unwrap_or_default();
+            if idle >= self.idle {
+                return Some(Ok(()));
+            }
+            let again =
+                tokio::time::Instant::now() + self.idle.saturating_sub(idle).max(Duration::from_millis(1));
+            self.deadline.as_mut().reset(again);
+        }
+        None
+    }
+
     fn note_sent(&mut self, written: &Poll<io::Result<usize>>) {
         if let Poll::Ready(Ok(bytes)) = written {
             self.frames.sent(*bytes);
@@ -143,10 +171,10 @@ impl Connection {
 }
 
 impl Connected for Connection {
-    type ConnectInfo = FirstRequest;
+    type ConnectInfo = Origin;
 
-    fn connect_info(&self) -> FirstRequest {
-        self.first_request.clone()
+    fn connect_info(&self) -> Origin {
+        self.origin.clone()
     }
 }
 
@@ -156,11 +184,9 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if !self.first_request.is_over() && self.deadline.as_mut().poll(cx).is_ready() {
-            // A request that came in the same moment is served.
-            if !self.first_request.is_over() {
-                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
-            }
+        if let Some(over) = self.is_over(cx) {
+            // Nothing more is read: the caller takes it for the end of the connection.
+            return Poll::Ready(over);
         }
         // Its certificate was revoked, or its token: whoever it is connects again, or not.
         if !self.told_to_go {

@@ -9,25 +9,25 @@ use echofix_proto::v1::localization_service_server::LocalizationServiceServer;
 use echofix_proto::v1::map_service_server::MapServiceServer;
 use echofix_proto::v1::mapping_service_server::MappingServiceServer;
 use tokio::net::TcpListener;
+use tokio::sync::watch;
 use tokio_stream::StreamExt;
 use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::server::NamedService;
-use tonic::service::InterceptorLayer;
-use tonic::{Request, Status};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::connections::{Acceptor, Door, FirstRequest};
-use super::{Error, ServiceContext};
+use super::calls::CallsLayer;
+use super::connections::{Acceptor, Door};
+use super::{Error, LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
-use crate::grpc::{AccessLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
+use crate::grpc::{AccessLayer, AdmissionLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
 use crate::health::Readiness;
 use crate::identity::Port;
 use crate::locating::Locator;
 use crate::trace::RequestSpanLayer;
 
 /// Bytes of a stream and of a connection that may be under way before they are read.
-const STREAM_WINDOW: u32 = 1 << 20;
+const STREAM_WINDOW: u32 = 128 << 10;
 const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Bytes of an answer: a piece of a tile stays far below, and so do the names of all tiles of an area.
 const MAX_ANSWER: usize = 4 << 20;
@@ -38,26 +38,32 @@ const MAX_NAME: usize = 512;
 pub(super) async fn serve(
     listener: TcpListener,
     shared: ServiceContext,
-    ended: impl Future<Output = ()> + Send,
+    ending: watch::Receiver<bool>,
 ) -> Result<(), Error> {
-    let LimitsConfig { connections, message_bytes, reads_at_once, .. } = shared.config.limits;
-    let (limits, ServiceContext { store, expectations, feed, metrics, .. }) =
+    let LimitsConfig { message_bytes, reads_at_once, address_share, .. } = shared.config.limits;
+    let (limits, ServiceContext { store, expectations, feed, metrics, lanes, .. }) =
         (&shared.config.limits, &shared);
 
     let mapping = shared.config.mapping.clone();
-    let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, limits.stall());
+    let shared_by = (address_share, lanes.clone());
+    let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, shared_by);
     let mapping = MappingServiceServer::new(mapping)
         .max_decoding_message_size(message_bytes)
         .max_encoding_message_size(MAX_ANSWER)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let locator = Arc::new(Locator::new(store.clone(), shared.config.locating));
-    let localization = LocalizationApi::new(locator, feed.clone(), metrics.clone());
+    let localization = LocalizationApi::new(locator.clone(), feed.clone(), metrics.clone()).on(lanes.clone());
     let localization = LocalizationServiceServer::new(localization)
         .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
-    let map = MapApi::new(store.clone(), expectations.clone(), reads_at_once, limits.stall());
+    let map = MapApi::new(
+        store.clone(),
+        expectations.clone(),
+        (reads_at_once, address_share),
+        (limits.pace(), lanes.clone()),
+    );
     let map = MapServiceServer::new(map)
         .max_decoding_message_size(message_bytes)
         .max_encoding_message_size(MAX_ANSWER)
@@ -75,18 +81,19 @@ pub(super) async fn serve(
     let health = health.max_decoding_message_size(MAX_NAME);
 
     let door = Door::new(shared.gate.clone(), Port::Grpc);
-    let acceptor = Acceptor::new(listener, connections, limits.handshake(), door);
+    let acceptor = Acceptor::new(listener, limits, door);
     let served = limited(limits)
         .layer(RequestSpanLayer::grpc())
-        .layer(InterceptorLayer::new(note_request))
+        .layer(CallsLayer::new(limits.pace(), ending.clone()))
         .layer(FaultsLayer::new(metrics.clone()))
         .layer(AccessLayer::new(shared.gate.clone(), shared.rates.clone()))
+        .layer(AdmissionLayer::new(locator, metrics.clone()))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)
         .add_service(health)
         .add_service(reflection)
-        .serve_with_incoming_shutdown(acceptor.open().map(io::Result::Ok), ended)
+        .serve_with_incoming_shutdown(acceptor.open().map(io::Result::Ok), ended(ending))
         .await;
     follower.abort();
     Ok(served?)
@@ -102,21 +109,11 @@ fn limited(limits: &LimitsConfig) -> tonic::transport::Server {
         .timeout(Duration::from_secs(limits.request_s))
         .http2_max_header_list_size(limits.header_bytes)
         .http2_max_pending_accept_reset_streams(Some(limits.resets_per_connection))
-        .http2_max_local_error_reset_streams(Some(limits.resets_per_connection))
+        .http2_max_local_error_reset_streams(Some(LATE_FRAMES))
         .http2_keepalive_interval(Some(limits.keepalive()))
         .http2_keepalive_timeout(Some(limits.keepalive_timeout()))
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
-}
-
-/// Notes that a connection's first request came, and whose connection it is.
-#[expect(clippy::unnecessary_wraps, reason = "the shape of an interceptor")]
-fn note_request(mut request: Request<()>) -> Result<Request<()>, Status> {
-    if let Some(first_request) = request.extensions().get::<FirstRequest>().cloned() {
-        first_request.came();
-        request.extensions_mut().insert(Arc::clone(first_request.peer()));
-    }
-    Ok(request)
 }
 
 /// What the health service says follows what the service knows.

@@ -1,5 +1,11 @@
 //! The operators' port.
 
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use axum::body::{Body, Bytes};
+use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
@@ -9,11 +15,12 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
-use super::connections::{Acceptor, Door};
-use super::{ServiceContext, ended};
+use super::connections::{Acceptor, Door, InUse};
+use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
 use crate::http::{Hosts, HttpState, router_at};
 use crate::identity::Port;
+use crate::pace::PacedBody;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
@@ -21,6 +28,8 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     let limits = &config.limits;
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();
+    let (spool_dir, address_share, ending_too) =
+        (config.store.data_dir.clone(), limits.address_share, ending.clone());
     let state = HttpState {
         store,
         operations,
@@ -29,6 +38,8 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         feed,
         metrics,
         health,
+        spool_dir,
+        address_share,
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
@@ -38,7 +49,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
     let door = Door::new(gate, Port::Http);
-    let mut connections = Acceptor::new(listener, limits.connections, limits.handshake(), door).open();
+    let mut connections = Acceptor::new(listener, limits, door).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {
@@ -47,11 +58,15 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
             () = &mut ended => None,
         };
         let Some(connection) = connection else { break };
-        let (first_request, routes) = (connection.first_request.clone(), routes.clone());
-        let service = service_fn(move |mut request: hyper::Request<_>| {
-            first_request.came();
-            request.extensions_mut().insert(std::sync::Arc::clone(first_request.peer()));
-            routes.call(request)
+        let (origin, routes, ending, pace) =
+            (connection.origin.clone(), routes.clone(), ending_too.clone(), limits.pace());
+        let service = service_fn(move |request: hyper::Request<Incoming>| {
+            let held = origin.used.begin();
+            let mut request = request.map(|body| PacedBody::new(body, Some(pace), ending.clone()));
+            request.extensions_mut().insert(origin.used.peer());
+            request.extensions_mut().insert(std::sync::Arc::clone(origin.peer()));
+            let answer = routes.call(request);
+            async move { Ok::<_, Infallible>(answer.await?.map(|body| UsingBody { body, _held: held })) }
         });
         let served = builder.serve_connection(TokioIo::new(connection), service).into_owned();
         let served = graceful.watch(served);
@@ -74,8 +89,34 @@ fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {
         .max_concurrent_streams(limits.streams_per_connection)
         .max_header_list_size(limits.header_bytes)
         .max_pending_accept_reset_streams(limits.resets_per_connection)
-        .max_local_error_reset_streams(limits.resets_per_connection)
+        .max_local_error_reset_streams(LATE_FRAMES)
         .keep_alive_interval(limits.keepalive())
         .keep_alive_timeout(limits.keepalive_timeout());
     builder
+}
+
+/// The body of an answer. While it is there its connection is in use.
+struct UsingBody {
+    body: Body,
+    _held: InUse,
+}
+
+impl HttpBody for UsingBody {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
 }

@@ -1,5 +1,6 @@
 //! The service as a whole: two ports over one store, from bind to the last answer.
 //!
+//! - [`calls`]: what holds for every call of the vehicles' port.
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`follow`]: health and metrics follow the store.
@@ -7,6 +8,7 @@
 //! - [`quarantine`]: what vetting keeps out is told.
 //! - [`signals`]: when to end.
 
+mod calls;
 mod connections;
 mod follow;
 mod grpc;
@@ -30,6 +32,7 @@ use crate::config::Config;
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::{self, Gate, Rates};
+use crate::lanes::Lanes;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
@@ -73,6 +76,9 @@ pub enum Error {
     /// The reflection service cannot be set up.
     #[error("the reflection service cannot be set up: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
+    /// The system has no threads left.
+    #[error("cannot start the service's threads: {0}")]
+    Threads(io::Error),
     /// A task of the service ended before its time.
     #[error("the service ended unexpectedly: {0}")]
     Task(#[from] tokio::task::JoinError),
@@ -88,9 +94,17 @@ struct ServiceContext {
     feed: Arc<Feed>,
     metrics: Arc<Metrics>,
     health: Arc<Health>,
+    lanes: Lanes,
     gate: Arc<Gate>,
     rates: Arc<Rates>,
 }
+
+/// Frames that may come for calls which the service has ended itself, before the HTTP/2 library ends their connection. Bodies of
+/// refused calls are received for a while, so that there are few.
+const LATE_FRAMES: usize = 1024;
+
+/// How long the end waits for the store to close.
+const CLOSES_WITHIN: Duration = Duration::from_millis(700);
 
 /// A service that has its ports and its store, and answers once it is run.
 pub struct Server {
@@ -126,6 +140,7 @@ impl Server {
             segment_bytes: config.store.segment_mib << 20,
             ..Options::new(dir.clone(), config.mapping.policy())
         };
+        let lanes = Lanes::start().map_err(Error::Threads)?;
         let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
         let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
         let store = Arc::new(store);
@@ -142,6 +157,7 @@ impl Server {
             health: Arc::default(),
             gate: Arc::new(gate),
             rates: Arc::new(rates),
+            lanes,
         };
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
     }
@@ -168,11 +184,13 @@ impl Server {
         let grace = Duration::from_secs(shared.config.limits.shutdown_s);
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
-        let retention = tokio::spawn(retention::keep(shared.clone()));
-        let quarantine = tokio::spawn(quarantine::tell(shared.clone()));
-        let identities = tokio::spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
-        let mut grpc = tokio::spawn(grpc::serve(grpc, shared.clone(), ended(ending.subscribe())));
-        let mut http = tokio::spawn(http::serve(http, shared.clone(), ending.subscribe()));
+        let Lanes { port, background, .. } = shared.lanes.clone();
+        let retention = background.spawn(retention::keep(shared.clone()));
+        let quarantine = background.spawn(quarantine::tell(shared.clone()));
+        let identities =
+            background.spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
+        let mut grpc = port.spawn(grpc::serve(grpc, shared.clone(), ending.subscribe()));
+        let mut http = background.spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
             () = shutdown => {}
             result = &mut grpc => return result?,
@@ -187,7 +205,9 @@ impl Server {
         let _ = follower.await;
         shared.health.not_ready("draining");
         ending.send_replace(true);
+        shared.operations.wind_down();
         let drained = tokio::time::timeout(grace, async { (grpc.await, http.await) }).await;
+        let_go(shared).await;
         let Ok((grpc, http)) = drained else {
             tracing::warn!(grace_s = grace.as_secs(), "ending with requests in flight");
             return Ok(());
@@ -208,7 +228,14 @@ pub async fn serve(
     address_file: Option<&Path>,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), Error> {
-    let server = Server::bind(config).await?;
+    tokio::pin!(shutdown);
+    let server = tokio::select! {
+        bound = Server::bind(config) => bound?,
+        () = &mut shutdown => {
+            tracing::info!("ending before the store is open");
+            return Ok(());
+        }
+    };
     let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
     tracing::info!(grpc = %addresses.grpc, http = %addresses.http, "listening");
     if let Some(roles) = server.shared.gate.anonymous() {
@@ -219,6 +246,15 @@ pub async fn serve(
         write_whole(path, &addresses).map_err(failed)?;
     }
     server.run(shutdown).await
+}
+
+/// Closes the store, if nothing else holds it, but does not wait for long: what is being folded is folded again at the next
+/// start.
+async fn let_go(shared: ServiceContext) {
+    let closing = tokio::task::spawn_blocking(move || drop(shared));
+    if tokio::time::timeout(CLOSES_WITHIN, closing).await.is_err() {
+        tracing::info!("ending while an upload is being folded");
+    }
 }
 
 /// Replaces the file in one step: a program that waits for it never reads half of it.

@@ -282,6 +282,10 @@ impl Operations for EmbeddedStore {
     fn verify(&self, replay: bool) -> Result<Verified, Error> {
         verify::verified(&self.shared, replay)
     }
+
+    fn wind_down(&self) {
+        self.shared.index.end();
+    }
 }
 
 impl Drop for EmbeddedStore {

@@ -8,6 +8,7 @@ use tokio::sync::Semaphore;
 
 use super::*;
 use crate::http::testing::{FakeStore, austin};
+use crate::shares::{Peer, Pool};
 
 /// Tiles along the side of a town.
 const SIDE: i32 = 24;
@@ -42,7 +43,11 @@ async fn work_ends_with_its_caller() {
             expectations: true,
         };
         let permit = Arc::clone(&permits).try_acquire_owned().unwrap();
-        get_coverage((Arc::clone(&known), Arc::clone(&expectations)), request, (permit, None))
+        get_coverage(
+            (Arc::clone(&known), Arc::clone(&expectations)),
+            request,
+            (permit, (Pool::new(1, 1.0).take(Peer::unknown()).unwrap(), None)),
+        )
     };
     // Several, of which one works and the others wait for it.
     let calls: Vec<_> = (0..8).map(|_| tokio::spawn(asked())).collect();

@@ -1,6 +1,4 @@
-//! The messages of an upload, bounded in bytes, detections and the caller's silence.
-
-use std::time::Duration;
+//! The messages of an upload, bounded in bytes and detections. How slowly they may come is the port's to say.
 
 use echofix_core::evidence::build::{Chunk, RawUpload};
 use echofix_core::scan::Mount;
@@ -46,11 +44,10 @@ pub(super) enum UploadBody {
 pub(super) async fn all(
     mut requests: impl Stream<Item = Result<UploadRequest, Status>> + Unpin,
     config: &MappingConfig,
-    stall: Duration,
     counted: &Counted,
 ) -> Result<ReceivedUpload, Status> {
     let invalid = |violation| status::invalid(&violation);
-    let Some(Part::Header(mut header)) = next(&mut requests, stall).await? else {
+    let Some(Part::Header(mut header)) = next(&mut requests).await? else {
         return Err(invalid(InvalidField::new("header", "must be the first message")));
     };
     let caller = &counted.caller;
@@ -63,7 +60,7 @@ pub(super) async fn all(
     let mut receiving = UploadReceiver::of(&header, config).map_err(invalid)?;
     counted.count_for(&contributor)?;
     header.contributor = contributor;
-    while let Some(part) = next(&mut requests, stall).await? {
+    while let Some(part) = next(&mut requests).await? {
         receiving.take(part).map_err(invalid)?;
     }
     receiving.finish(&header).map_err(invalid)
@@ -71,12 +68,8 @@ pub(super) async fn all(
 
 async fn next(
     requests: &mut (impl Stream<Item = Result<UploadRequest, Status>> + Unpin),
-    stall: Duration,
 ) -> Result<Option<Part>, Status> {
-    let silent = |_| Status::deadline_exceeded("the upload fell silent");
-    let Some(request) = tokio::time::timeout(stall, requests.next()).await.map_err(silent)? else {
-        return Ok(None);
-    };
+    let Some(request) = requests.next().await else { return Ok(None) };
     let part = required(request?.part, "part").map_err(|violation| status::invalid(&violation))?;
     Ok(Some(part))
 }

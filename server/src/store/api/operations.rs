@@ -95,6 +95,10 @@ pub trait Operations: Send + Sync {
     /// When the map is being rebuilt. Damage is an answer, not an error.
     fn verify(&self, replay: bool) -> Result<Verified, Error>;
 
+    /// Ends what goes on behind the calls: folding, and looks at the past. What is journaled and not folded is folded at the next
+    /// start; uploads are still journaled, and the map is still read. Does not wait.
+    fn wind_down(&self) {}
+
     /// Takes back all that a contributor has uploaded so far, by its pseudonym.
     ///
     /// # Errors

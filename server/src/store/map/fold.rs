@@ -89,15 +89,23 @@ fn fold_record(
     }
 }
 
-/// Folds a group of records, each tile read and written once, unless there are very many of them. Returns what vetting
-/// kept out.
+/// What came of a group of records.
+pub(super) struct FoldedGroup {
+    /// What vetting kept out.
+    pub(super) kept_out: Vec<QuarantinedRecord>,
+    /// The last record that is folded: that of the group, unless it was not to go on.
+    pub(super) up_to: u64,
+}
+
+/// Folds a group of records, each tile read and written once, unless there are very many of them, or it shall not go on: it is
+/// asked after each record, since one may take a while.
 pub(super) fn fold_group(
     (journal, buffer_tiles): (&Journal, usize),
     sink: &mut impl Sink,
     counted: &[Written],
     folded: u64,
-    vetting: &mut Vetting,
-) -> Result<Vec<QuarantinedRecord>, Error> {
+    (vetting, go_on): (&mut Vetting, &dyn Fn() -> bool),
+) -> Result<FoldedGroup, Error> {
     let mut reader = journal.reader();
     let mut left = counted.iter();
     let mut kept_out = Vec::new();
@@ -107,7 +115,7 @@ pub(super) fn fold_group(
         while let Some(written) = left.next() {
             let payload = reader.payload(written.at)?;
             quarantined.extend(fold_record(&mut buffer, written.number, &payload, vetting)?);
-            if buffer.is_full() && !left.as_slice().is_empty() {
+            if (buffer.is_full() || !go_on()) && !left.as_slice().is_empty() {
                 up_to = written.number;
                 break;
             }
@@ -115,8 +123,8 @@ pub(super) fn fold_group(
         let changed: Vec<_> = buffer.into_changed().collect();
         sink.write(changed.into_iter(), &quarantined, up_to)?;
         kept_out.append(&mut quarantined);
-        if left.as_slice().is_empty() {
-            return Ok(kept_out);
+        if up_to == folded || !go_on() {
+            return Ok(FoldedGroup { kept_out, up_to });
         }
     }
 }
@@ -144,8 +152,8 @@ pub(in crate::store) fn replay(
     while folded < last && report(folded) {
         let group = index.records(folded, last);
         let Some(newest) = group.last().map(|written| written.number) else { break };
-        fold_group((journal, buffer_tiles), sink, &index.counted(&group, exclusion), newest, vetting)?;
-        folded = newest;
+        let (counted, go_on) = (index.counted(&group, exclusion), || !index.ended());
+        folded = fold_group((journal, buffer_tiles), sink, &counted, newest, (vetting, &go_on))?.up_to;
     }
     Ok(folded)
 }

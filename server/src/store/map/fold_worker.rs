@@ -7,10 +7,11 @@ use std::time::{Duration, Instant};
 use super::attempt::{TilesError, caught};
 use super::build::{self, Built};
 use super::context::StoreContext;
-use super::fold::fold_group;
+use super::fold::{FoldedGroup, fold_group};
 use super::generation::Generation;
 use super::vetting::Vetting;
-use crate::store::api::{Error, MapStatus, QuarantinedRecord};
+use crate::lanes::{BACKGROUND, lower};
+use crate::store::api::{Error, MapStatus};
 use crate::store::log::index::NextFold;
 use crate::store::log::position::Written;
 
@@ -31,6 +32,7 @@ pub(in crate::store) struct FoldWorker {
 
 /// Folds until the end is called.
 pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
+    lower(BACKGROUND);
     let whole = shared.index.newest();
     let (mut logged, mut reminded) = (Instant::now(), None);
     let mut vetting = Vetting::new(shared.settings.policy.vetting);
@@ -82,9 +84,9 @@ impl FoldWorker {
             Some(NextFold::Build) => self.build(shared),
             Some(NextFold::Records(group)) => {
                 let newest = group.last().map_or(self.folded, |written| written.number);
-                let kept_out = caught(|| fold(shared, &on, &group, newest, vetting))?;
-                self.folded = newest;
-                shared.progress.send_modify(|progress| progress.epoch = newest);
+                let FoldedGroup { kept_out, up_to } = caught(|| fold(shared, &on, &group, newest, vetting))?;
+                self.folded = up_to;
+                shared.progress.send_modify(|progress| progress.epoch = up_to);
                 for record in kept_out {
                     // Nobody needs to listen.
                     let _ = shared.kept_out.send(record);
@@ -158,6 +160,7 @@ fn fold(
     group: &[Written],
     newest: u64,
     vetting: &mut Vetting,
-) -> Result<Vec<QuarantinedRecord>, Error> {
-    fold_group((&shared.journal, shared.settings.write_buffer_tiles), &mut &*on, group, newest, vetting)
+) -> Result<FoldedGroup, Error> {
+    let (journal, go_on) = ((&shared.journal, shared.settings.write_buffer_tiles), || !shared.index.ended());
+    fold_group(journal, &mut &*on, group, newest, (vetting, &go_on))
 }
