@@ -188,7 +188,7 @@ fn drive_logs() {
     let finite =
         |drive: &Drive| drive.scans.iter().all(|scan| scan.range_m.iter().all(|range| range.is_finite()));
     let read = |path: &Path| match drivelog::read(path) {
-        Ok(drive) if !finite(&drive) => Err("a range is no number".to_owned()),
+        Ok(read) if !finite(&read.drive) => Err("a range is no number".to_owned()),
         Ok(_) | Err(_) => Ok(()),
     };
     fuzz("mcap", Seal::None, vec![sound], &mut |input| {
