@@ -61,4 +61,4 @@ pub use embedded::EmbeddedStore;
 pub use local::TableEngine;
 pub use map::policy::Policy;
 pub use options::Options;
-pub use replicated::ReplicatedStore;
+pub use replicated::{ReplicatedStore, SharedMap, SharedMapStatus};

@@ -5,11 +5,15 @@
 //!
 //! - [`copy`]: the data directory is begun, and brought up to the end of the shared journal.
 //! - [`sequencer`]: the thread that reads the shared journal, and appends to it.
+//! - [`shared_map`]: what operators see of the bucket, and a directory's way into one.
 //! - [`keeper`]: the thread that publishes what was compacted, and deletes what is no longer needed.
 
 mod copy;
 mod keeper;
 mod sequencer;
+mod shared_map;
+
+pub use shared_map::{SharedMap, SharedMapStatus};
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
