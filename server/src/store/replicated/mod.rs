@@ -15,6 +15,7 @@ mod shared_map;
 
 pub use shared_map::{SharedMap, SharedMapStatus};
 
+use std::collections::{BTreeSet, HashMap};
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -28,8 +29,8 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, HistoryEvent, Imported, MapProgress, MapStore, Operations, QuarantinedRecord, Receipt, Region,
-    Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
+    Error, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preview, Proposal, QuarantinedRecord,
+    Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
 };
 use crate::store::embedded::EmbeddedStore;
 use crate::store::local;
@@ -173,24 +174,28 @@ impl MapStore for ReplicatedStore {
 }
 
 impl Operations for ReplicatedStore {
-    fn revoke_contributor(&self, pseudonym: &str) -> Result<u64, Error> {
-        self.copy.revoke_contributor(pseudonym)
+    fn decide(&self, proposal: &Proposal, remark: &Remark) -> Result<Option<u64>, Error> {
+        self.copy.decide(proposal, remark)
     }
 
-    fn revoke_upload(&self, id: Uuid) -> Result<u64, Error> {
-        self.copy.revoke_upload(id)
-    }
-
-    fn rollback(&self, epoch: u64) -> Result<u64, Error> {
-        self.copy.rollback(epoch)
-    }
-
-    fn compact(&self, before_day: u16) -> Result<Option<u64>, Error> {
-        self.copy.compact(before_day)
+    fn preview(&self, proposal: &Proposal) -> Result<Preview, Error> {
+        self.copy.preview(proposal)
     }
 
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         self.copy.quarantined()
+    }
+
+    fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
+        self.copy.upload_ids(numbers)
+    }
+
+    fn epochs(&self) -> (u64, u64) {
+        self.copy.epochs()
+    }
+
+    fn served_at(&self, epoch: u64) -> Result<Arc<dyn MapStore>, Error> {
+        self.copy.served_at(epoch)
     }
 
     fn kept_out(&self) -> broadcast::Receiver<QuarantinedRecord> {
