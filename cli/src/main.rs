@@ -58,6 +58,8 @@ enum Command {
     Identity(commands::identity::Args),
     /// Make a bearer token, by which a service knows a caller.
     Token(commands::token::Args),
+    /// Look at the bucket that several services share: status, probe, sweep, verify.
+    Cluster(commands::cluster::Args),
     /// Show whether a running service is ready, and what its map holds.
     Status(commands::status::Args),
     /// Print what a shell needs to complete this command.
@@ -98,6 +100,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Man(args) => commands::shell::man(&args, Cli::command()),
         Command::Status(args) => commands::status::run(&args, &credentials, json),
         Command::Demo(args) => in_runtime(interruptible(commands::demo::run(args, json))),
+        Command::Cluster(args) => commands::cluster::run(&args, json),
         #[cfg(feature = "lab")]
         Command::Bench(args) => in_runtime(interruptible(echofix_lab::bench::command::run(args, json))),
         Command::Map(args) => in_runtime(commands::map::run(args, &credentials, json)),

@@ -30,6 +30,7 @@ pub mod grpc;
 pub mod http;
 pub mod limits;
 pub mod mapping;
+pub mod seaweedfs;
 pub mod service;
 pub mod tiles;
 pub mod town;

@@ -39,6 +39,8 @@ pub struct Setup {
     pub data_dir: Option<PathBuf>,
     /// A deliberate defect, by its name in `ECHOFIX_FAULT`.
     pub fault: Option<&'static str>,
+    /// Environment variables to set.
+    pub variables: Vec<(&'static str, String)>,
     /// What to run in place of the `echofix` command.
     pub program: Option<PathBuf>,
 }
@@ -115,6 +117,11 @@ impl Service {
     /// Other keys from the next start on.
     pub fn set(&mut self, settings: &[&str]) {
         self.setup.settings.extend(settings.iter().map(|&setting| setting.to_owned()));
+    }
+
+    /// Stops the process (SIGSTOP), as a machine that hangs would be, or lets it go on.
+    pub fn stall(&self, stalled: bool) {
+        signal(self.process.pid(), if stalled { "STOP" } else { "CONT" });
     }
 
     /// Waits for the end of a process that was asked to end.
@@ -208,7 +215,12 @@ fn launch(folder: &TempDir, setup: &Setup) -> ServiceProcess {
         folder: folder.path(),
         data_dir: &data_dir(folder, setup),
         settings,
-        variables: setup.fault.map(|fault| ("ECHOFIX_FAULT", fault)).into_iter().collect(),
+        variables: setup
+            .variables
+            .iter()
+            .map(|(name, value)| (*name, &value[..]))
+            .chain(setup.fault.map(|fault| ("ECHOFIX_FAULT", fault)))
+            .collect(),
     };
     ServiceProcess::launch(&launch).expect("echofix can be run")
 }

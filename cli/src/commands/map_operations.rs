@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use echofix_harness::credentials::Credentials;
+use echofix_server::store::SharedMap;
 use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
@@ -103,6 +104,15 @@ pub enum MapOperation {
         /// The archive to write. It must not exist yet.
         file: PathBuf,
     },
+    /// Bring the map of a data directory into an empty bucket, for services that share it. No service may use either.
+    ///
+    /// The directory stays as it is. Done again after a failure it goes on.
+    Migrate {
+        /// The data directory.
+        data_dir: PathBuf,
+        /// The bucket: s3://bucket/prefix. Credentials come from AWS_* in the environment.
+        url: String,
+    },
 }
 
 /// Runs an operation against the HTTP port.
@@ -121,6 +131,9 @@ pub fn run(
         MapOperation::History { limit } => {
             let body = port.get(&format!("history?limit={limit}"))?;
             return show(&body, json, history);
+        }
+        MapOperation::Migrate { data_dir, url } => {
+            json!({ "epoch": SharedMap::at(url)?.migrate(data_dir)? })
         }
         MapOperation::Quarantine => return show(&port.get("quarantine")?, json, quarantine),
         MapOperation::Diff { from, to } => {

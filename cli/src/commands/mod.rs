@@ -1,6 +1,7 @@
 //! One file a subcommand.
 
 pub mod calibrate;
+pub mod cluster;
 mod decisions;
 pub mod demo;
 pub mod identity;

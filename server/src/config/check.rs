@@ -85,6 +85,11 @@ fn store(store: &StoreConfig) -> Vec<Rule> {
     let named =
         !dir.is_empty() && dir.to_str().is_none_or(|dir| !dir.trim().is_empty() && !dir.contains('\0'));
     vec![
+        (
+            "store.url",
+            store.place().is_some(),
+            "must be empty, `file:` with a directory, or `s3://bucket/prefix`; credentials come from AWS_* in the environment",
+        ),
         ("store.data_dir", named, "is empty; name the directory that holds the map"),
         ("store.cache_mib", (1..=1 << 20).contains(&store.cache_mib), "must lie within 1 and 1048576"),
         ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),

@@ -146,7 +146,9 @@ impl AlarmsConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoreConfig {
-    /// The data directory.
+    /// Where the map is stored: nothing for the data directory, `file:` and another one, or `s3://bucket/prefix`.
+    pub url: String,
+    /// The data directory; of a map in a bucket, its copy.
     pub data_dir: PathBuf,
     /// What tiles are stored in.
     pub table: TableEngine,
@@ -154,6 +156,33 @@ pub struct StoreConfig {
     pub cache_mib: u64,
     /// Size from which a journal segment is followed by the next, MiB.
     pub segment_mib: u64,
+}
+
+/// Where a map is stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum StorePlace {
+    /// In a directory, which one service has for itself.
+    Directory(PathBuf),
+    /// In a bucket, which several services share; the data directory is a copy.
+    Bucket(String),
+}
+
+impl StoreConfig {
+    /// Where the map is stored; `None` when `url` is none of what it may be.
+    #[must_use]
+    pub fn place(&self) -> Option<StorePlace> {
+        if self.url.is_empty() {
+            return Some(StorePlace::Directory(self.data_dir.clone()));
+        }
+        if let Some(dir) = self.url.strip_prefix("file:") {
+            let dir = dir.strip_prefix("//").unwrap_or(dir);
+            return (!dir.trim().is_empty()).then(|| StorePlace::Directory(dir.into()));
+        }
+        let bucket = self.url.strip_prefix("s3://")?.split('/').next()?;
+        let sound = bucket.len() >= 3
+            && bucket.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte));
+        sound.then(|| StorePlace::Bucket(self.url.clone()))
+    }
 }
 
 /// What holds for uploads and requests alike.

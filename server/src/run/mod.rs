@@ -28,14 +28,14 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::config::Config;
+use crate::config::{Config, StorePlace};
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::{self, Gate, Rates};
 use crate::lanes::Lanes;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
-use crate::store::{self, EmbeddedStore, MapStore, Operations, Options};
+use crate::store::{self, EmbeddedStore, MapStore, Operations, Options, ReplicatedStore};
 pub use signals::signalled;
 
 /// Why the service cannot run.
@@ -54,7 +54,7 @@ pub enum Error {
     /// The store does not open.
     #[error("cannot open the store in {dir}: {source}")]
     Store {
-        /// The data directory.
+        /// The data directory, or the bucket.
         dir: String,
         /// Why it does not open.
         source: store::Error,
@@ -133,7 +133,13 @@ impl Server {
         let (gate, rates) = (config.gate()?, Rates::of(&config.rates));
         let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
-        let dir = config.store.data_dir.clone();
+        let place = config.store.place();
+        let (dir, bucket) = match place {
+            Some(StorePlace::Directory(dir)) => (dir, None),
+            Some(StorePlace::Bucket(url)) => (config.store.data_dir.clone(), Some(url)),
+            // The configuration was checked.
+            None => (config.store.data_dir.clone(), None),
+        };
         let options = Options {
             table: config.store.table,
             cache_bytes: config.store.cache_mib << 20,
@@ -141,11 +147,9 @@ impl Server {
             ..Options::new(dir.clone(), config.mapping.policy())
         };
         let lanes = Lanes::start().map_err(Error::Threads)?;
-        let opened = tokio::task::spawn_blocking(move || EmbeddedStore::open(&options)).await?;
-        let store = opened.map_err(|source| Error::Store { dir: dir.display().to_string(), source })?;
-        let store = Arc::new(store);
-        let operations: Arc<dyn Operations> = store.clone();
-        let store: Arc<dyn MapStore> = store;
+        let shown = bucket.clone().unwrap_or_else(|| dir.display().to_string());
+        let opened = tokio::task::spawn_blocking(move || opened(bucket.as_deref(), &options)).await?;
+        let (store, operations) = opened.map_err(|source| Error::Store { dir: shown, source })?;
         let (search, integrity) = (config.locating.search(), config.locating.integrity());
         let shared = ServiceContext {
             expectations: Arc::new(Expectations::new(Arc::clone(&store), search, integrity)),
@@ -262,6 +266,18 @@ fn write_whole(path: &Path, addresses: &Addresses) -> io::Result<()> {
     let unnamed = path.with_extension("new");
     std::fs::write(&unnamed, serde_json::to_vec(addresses)?)?;
     std::fs::rename(unnamed, path)
+}
+
+type Opened = (Arc<dyn MapStore>, Arc<dyn Operations>);
+
+/// The store of a bucket, or of a directory.
+fn opened(bucket: Option<&str>, options: &Options) -> Result<Opened, store::Error> {
+    if let Some(url) = bucket {
+        let store = Arc::new(ReplicatedStore::open(url, options)?);
+        return Ok((store.clone(), store));
+    }
+    let store = Arc::new(EmbeddedStore::open(options)?);
+    Ok((store.clone(), store))
 }
 
 async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener, SocketAddr), Error> {

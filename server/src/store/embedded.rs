@@ -23,6 +23,7 @@ use crate::store::log::entry::{self, Action, Control, RecordMeta};
 use crate::store::log::index::{JournalIndex, Reserved};
 use crate::store::log::journal::{Journal, RecoveredJournal};
 use crate::store::log::position::Written;
+use crate::store::log::sequencer::{NewRecord, Sequenced};
 use crate::store::map::build;
 use crate::store::map::checkpoint::Checkpoint;
 use crate::store::map::context::{Settings, StoreContext};
@@ -60,7 +61,8 @@ impl EmbeddedStore {
         if checkpoint.last < index.before() {
             return Err(build::uncovered(index.before(), checkpoint.last));
         }
-        let (lineage, worker) = resume::resume(&backend, &settings.policy, found.id(), &index)?;
+        let (lineage, worker) =
+            resume::resume(&backend, (&settings.policy, settings.lineage), found.id(), &index)?;
         let shared = started(backend, settings, (found, checkpoint.clone()), index, (lineage, &worker))?;
         if worker.on.is_some() && worker.applied >= shared.index.newest_control() {
             build::discard_compacted(&shared, checkpoint)?;
@@ -81,9 +83,10 @@ impl EmbeddedStore {
         Ok(Receipt::Duplicate { epoch: written.number, answer })
     }
 
-    fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Written, Error> {
-        let written = self.shared.journal.append(meta, fresh, payload);
-        written.inspect_err(|error| self.shared.note_stop(error))
+    fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Sequenced, Error> {
+        let submitted = self.shared.journal.submit(vec![NewRecord { meta, fresh, payload }]);
+        let written = submitted.inspect_err(|error| self.shared.note_stop(error))?;
+        written.first().copied().ok_or_else(|| Error::Stopped("a record was lost on its way".to_owned()))
     }
 
     /// Writes a control; the caller holds [`StoreContext::decide`].
@@ -91,9 +94,8 @@ impl EmbeddedStore {
         let at_us = self.shared.settings.clock.now_us();
         let (meta, payload) =
             entry::control(day_of(at_us), &Control { at_us, action, remark: remark.clone() });
-        // Compacted segments end where the compaction begins.
-        let fresh = matches!(action, Action::Compact(_));
-        let written = self.append(meta, fresh, payload)?;
+        let fresh = meta.begins_segment();
+        let written = self.append(meta, fresh, payload)?.written;
         tracing::info!(number = written.number, action = action.word(), "a control was written");
         Ok(written.number)
     }
@@ -155,7 +157,9 @@ impl MapStore for EmbeddedStore {
             Reserved::Counted(written) => self.counted_as(written),
             Reserved::New(_reservation) => {
                 let (meta, payload) = entry::upload(self.shared.settings.clock.today(), &upload);
-                Ok(Receipt::Counted { epoch: self.append(meta, false, payload)?.number })
+                let Sequenced { written, known } = self.append(meta, false, payload)?;
+                // Another server may have counted it meanwhile.
+                if known { self.counted_as(written) } else { Ok(Receipt::Counted { epoch: written.number }) }
             }
         }
     }

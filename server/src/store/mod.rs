@@ -32,6 +32,9 @@
 //! - [`map`]: tiles, folded from the journal: generations, vetting, manifest, checkpoint.
 //! - [`operations`]: the map's past, regions, backups, verification.
 //! - [`local`]: the backend of one machine: a data directory, with sled in it. No other layer knows a path.
+//! - [`object`]: a journal that several servers append to, on an object store. It uses `checksum` and `api` alone.
+//! - `replicated`: [`ReplicatedStore`] is an embedded store whose records come in the order of such a journal; its data
+//!   directory is a copy.
 //! - `embedded` and `options`: [`EmbeddedStore`] puts them together, as its [`Options`] say.
 //!
 //! Every state of the map is a function of the checkpoint and the journal's records up to the epoch, without what
@@ -44,10 +47,10 @@ mod embedded;
 mod local;
 mod log;
 mod map;
-#[cfg_attr(not(test), expect(dead_code, reason = "the replicated store comes next"))]
 mod object;
 mod operations;
 mod options;
+mod replicated;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
@@ -58,3 +61,4 @@ pub use embedded::EmbeddedStore;
 pub use local::TableEngine;
 pub use map::policy::Policy;
 pub use options::Options;
+pub use replicated::{ReplicatedStore, SharedMap, SharedMapStatus};

@@ -52,6 +52,7 @@ impl Options {
             segment_bytes: self.segment_bytes,
             write_buffer_tiles: self.write_buffer_tiles,
             policy: self.policy,
+            lineage: None,
             clock: self.clock.clone(),
             retry: RETRY,
         }

@@ -23,6 +23,7 @@ mod faults;
 mod folding;
 mod losses;
 mod past;
+mod replicated;
 
 thread_local! {
     /// What a test says the day is, for calls of its own thread.

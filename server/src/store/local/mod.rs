@@ -3,6 +3,7 @@
 //! - [`data_dir`]: the layout of a data directory; [`lock`], [`fence`]: one server at a time; [`contributor_key`]: what
 //!   pseudonyms are hashed with; [`marker`], [`traces`]: what this store made.
 //! - [`files`]: files that are whole or not there; [`objects`], [`segments`], [`manifest`]: what the store keeps in files.
+//! - [`seed`]: a directory that begins as a copy of what servers share.
 //! - [`tables`]: the tables of tiles; [`sled_table`] and [`sled_instance`]: one of them in sled; [`redb_table`]: one in redb;
 //!   [`table_dir`]: its directory; [`fuse`]: when it takes no more; [`room`]: how much room a disk has left; [`ballast`]: some
 //!   that is kept.
@@ -19,6 +20,7 @@ mod marker;
 mod objects;
 mod redb_table;
 mod room;
+pub(in crate::store) mod seed;
 mod segments;
 pub(in crate::store) mod sled_instance;
 mod sled_table;

@@ -41,6 +41,13 @@ pub(in crate::store) struct RecordMeta {
     pub(in crate::store) what: RecordSubject,
 }
 
+impl RecordMeta {
+    /// Does it begin a segment of its own? What is compacted ends where the compaction begins.
+    pub(in crate::store) fn begins_segment(&self) -> bool {
+        matches!(self.what, RecordSubject::Control(Control { action: Action::Compact(_), .. }))
+    }
+}
+
 /// What a record is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::store) enum RecordSubject {

@@ -81,6 +81,18 @@ impl JournalIndex {
         self.lock().imports.contains_key(&(file, tile))
     }
 
+    /// An imported tile in the journal.
+    pub(in crate::store) fn find_import(&self, file: Uuid, tile: TileId) -> Option<Written> {
+        let state = self.lock();
+        let number = *state.imports.get(&(file, tile))?;
+        Some(Written { number, at: state.at(number)? })
+    }
+
+    /// A record of the journal.
+    pub(in crate::store) fn get(&self, number: u64) -> Option<Written> {
+        Some(Written { number, at: self.lock().at(number)? })
+    }
+
     /// Is anything of a kind in the journal after a number?
     pub(in crate::store) fn any_after(&self, number: u64, kind: RecordKind) -> bool {
         let state = self.lock();

@@ -2,7 +2,7 @@
 //! disk.
 
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 
 use tracing::Span;
@@ -13,6 +13,7 @@ use super::faults::{Fault, fault};
 use super::medium::LogSegment;
 use super::position::{RecordPosition, Written};
 use super::reader::{RecordReader, damaged};
+use super::sequencer::{NewRecord, Sequenced, Sequencer};
 use super::writer::{Append, JournalWriter};
 use super::{medium, recover, segment, writer};
 use crate::store::api::{Error, io_error};
@@ -32,6 +33,7 @@ pub(in crate::store) struct Journal {
     segments: Arc<dyn Segments>,
     sender: Option<Mutex<Sender<Append>>>,
     writer: Option<JoinHandle<()>>,
+    sequencer: OnceLock<Box<dyn Sequencer>>,
 }
 
 /// The journal as it was found on disk.
@@ -129,7 +131,8 @@ impl Journal {
         let writer = JournalWriter::new(disk, found, segment_bytes, (Box::new(deliver), Box::new(refusing)));
         let thread = std::thread::Builder::new().name("journal".to_owned());
         let writer = thread.spawn(move || writer.run(&receiver)).map_err(io_error("starting the journal"))?;
-        Ok(Self { segments, sender: Some(Mutex::new(sender)), writer: Some(writer) })
+        let (sender, writer) = (Some(Mutex::new(sender)), Some(writer));
+        Ok(Self { segments, sender, writer, sequencer: OnceLock::new() })
     }
 
     /// Writes a record and returns once it is on disk. No segment holds records of two days, so that
@@ -151,15 +154,36 @@ impl Journal {
         outcome.recv().map_err(|_| gone())?
     }
 
+    /// From now on a sequencer gives [submitted](Self::submit) records their numbers.
+    pub(in crate::store) fn follow(&self, sequencer: Box<dyn Sequencer>) {
+        // There is one for as long as the journal is open.
+        let _ = self.sequencer.set(sequencer);
+    }
+
+    /// Writes records in the order that counts: this journal's own, or its sequencer's.
+    ///
+    /// # Errors
+    /// When it is not certain that all of them are in it.
+    pub(in crate::store) fn submit(&self, mut records: Vec<NewRecord>) -> Result<Vec<Sequenced>, Error> {
+        if let Some(sequencer) = self.sequencer.get() {
+            return sequencer.sequence(records);
+        }
+        let written = match records.pop() {
+            Some(NewRecord { meta, fresh, payload }) if records.is_empty() => {
+                vec![self.append(meta, fresh, payload)?]
+            }
+            last => self.append_all(records.into_iter().chain(last).collect())?,
+        };
+        Ok(written.into_iter().map(|written| Sequenced { written, known: false }).collect())
+    }
+
     /// Writes records in order, with as few syncs as they need, and returns once all are on disk.
     ///
     /// # Errors
     /// When that is not certain for any of them.
-    pub(in crate::store) fn append_all(
-        &self,
-        records: Vec<(RecordMeta, Vec<u8>)>,
-    ) -> Result<Vec<Written>, Error> {
-        let sent = records.into_iter().map(|(meta, payload)| self.send(meta, false, payload));
+    pub(in crate::store) fn append_all(&self, records: Vec<NewRecord>) -> Result<Vec<Written>, Error> {
+        let sent =
+            records.into_iter().map(|NewRecord { meta, fresh, payload }| self.send(meta, fresh, payload));
         let outcomes = sent.collect::<Result<Vec<_>, _>>()?;
         outcomes.into_iter().map(|outcome| outcome.recv().map_err(|_| gone())?).collect()
     }

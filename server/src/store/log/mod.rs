@@ -2,6 +2,7 @@
 //!
 //! - [`journal`]: append-only segments; [`segment`]: their bytes; [`recover`]: what one holds after a crash; [`medium`]:
 //!   the one being written; [`writer`]: the thread that groups appends.
+//! - [`sequencer`]: who gives records their numbers, where servers share a journal.
 //! - [`position`]: where a record lies; [`reader`]: reads it again.
 //! - [`entry`], [`record`]: the bytes of a record.
 //! - [`index`]: which records there are; [`exclusion`]: which of them count.
@@ -17,5 +18,6 @@ pub(in crate::store) mod position;
 mod reader;
 mod record;
 mod recover;
-mod segment;
+pub(in crate::store) mod segment;
+pub(in crate::store) mod sequencer;
 mod writer;

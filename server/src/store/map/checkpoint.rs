@@ -7,7 +7,7 @@
 //!
 //! See [`crate::store::map::stream`]; the numbers are little-endian.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 
 use echofix_core::geo::TileId;
 use uuid::Uuid;
@@ -132,10 +132,25 @@ fn put_under_free_name(
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
+/// Journal, last record and number of tiles of a checkpoint; every byte is checked.
+///
+/// # Errors
+/// When it is damaged.
+pub(in crate::store) fn checked(what: &str, bytes: &[u8]) -> Result<(Uuid, u64, u64), Error> {
+    let mut tiles = 0;
+    let damaged = |error: io::Error| Error::Damaged { what: what.to_owned(), reason: error.to_string() };
+    let count = |_, _, _| {
+        tiles += 1;
+        Ok(())
+    };
+    let (journal, last, _) = parsed(bytes, damaged, count)?;
+    Ok((journal, last, tiles))
+}
+
 fn read(
     objects: &dyn Objects,
     name: &str,
-    mut each: impl FnMut(TileId, u64, Vec<u8>) -> Result<(), Error>,
+    each: impl FnMut(TileId, u64, Vec<u8>) -> Result<(), Error>,
 ) -> Result<(Uuid, Checkpoint), Error> {
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
@@ -145,7 +160,18 @@ fn read(
         _ => io_error("reading the checkpoint")(error),
     };
     let opened = objects.open(name).and_then(reader).map_err(failed)?;
-    let mut input = ChecksummedReader::new(opened);
+    let (journal, last, uploads) = parsed(opened, failed, each)?;
+    Ok((journal, Checkpoint { name: Some(name.to_owned()), last, uploads }))
+}
+
+/// Journal, last record and uploads of a checkpoint; its tiles are visited.
+fn parsed(
+    input: impl Read,
+    failed: impl Fn(io::Error) -> Error,
+    mut each: impl FnMut(TileId, u64, Vec<u8>) -> Result<(), Error>,
+) -> Result<(Uuid, u64, u64), Error> {
+    let failed = &failed;
+    let mut input = ChecksummedReader::new(input);
     if input.array().map_err(failed)? != MAGIC {
         return Err(failed(bad("it is no checkpoint")));
     }
@@ -157,7 +183,7 @@ fn read(
         each(id, version, encoded)?;
     }
     input.end().map_err(failed)?;
-    Ok((journal, Checkpoint { name: Some(name.to_owned()), last, uploads }))
+    Ok((journal, last, uploads))
 }
 
 /// What has the name of a checkpoint.
@@ -176,7 +202,6 @@ mod tests {
     use super::*;
     use crate::store::backend::memory::Memory;
     use echofix_core::geo::Zone;
-    use std::io::Read;
 
     #[test]
     fn the_newest_sound_checkpoint_of_the_journal_counts() {

@@ -49,6 +49,8 @@ pub(in crate::store) struct Settings {
     pub(in crate::store) write_buffer_tiles: usize,
     /// Which evidence counts, and what of it is published.
     pub(in crate::store) policy: Policy,
+    /// The lineage that servers share; `None` where this one draws its own.
+    pub(in crate::store) lineage: Option<u64>,
     /// What day it is.
     pub(in crate::store) clock: StoreClock,
     /// How long folding rests after an error.

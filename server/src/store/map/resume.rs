@@ -17,15 +17,18 @@ use crate::store::log::index::JournalIndex;
 /// The map's lineage, and where folding goes on. What is not needed for it any more is removed, or set aside.
 pub(in crate::store) fn resume(
     backend: &Backend,
-    policy: &Policy,
+    (policy, lineage): (&Policy, Option<u64>),
     journal: Uuid,
     index: &JournalIndex,
 ) -> Result<(u64, FoldWorker), Error> {
     let manifest = manifest_of(backend, policy, journal)?;
     let sound = manifest.is_some();
     let lineage = match &manifest {
-        Some(manifest) if manifest.policy == policy.digest() => manifest.lineage,
-        _ => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
+        Some(manifest) if manifest.policy == policy.digest() && lineage.is_none() => manifest.lineage,
+        _ => match lineage {
+            Some(shared) => shared,
+            None => getrandom::u64().map_err(|error| io_error("drawing a lineage")(error.into()))?,
+        },
     };
     let mut worker = opened(backend, policy, manifest, index)?;
     if worker.on.is_none() && worker.unopened.is_none() && index.newest() == 0 {

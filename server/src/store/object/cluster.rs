@@ -68,6 +68,19 @@ impl Cluster {
     }
 }
 
+impl Cluster {
+    /// The cluster of a bucket, if there is one.
+    ///
+    /// # Errors
+    /// When the store does not answer, or what it holds is damaged.
+    pub(in crate::store) fn found(client: &Client) -> Result<Option<Self>, Error> {
+        let Some(bytes) = client.get(CLUSTER)? else { return Ok(None) };
+        let json = body::unwrap(MAGIC, &bytes);
+        let cluster = json.and_then(|json| serde_json::from_slice(json).ok());
+        cluster.map(Some).ok_or_else(|| damaged(client, CLUSTER))
+    }
+}
+
 /// What was said first.
 fn said(client: &Client, name: &str, ours: &[u8]) -> Result<Vec<u8>, Error> {
     if let Some(found) = client.get(name)? {

@@ -104,12 +104,36 @@ impl SharedLog {
     /// # Errors
     /// [`Error::Unusable`] when it lies below the floor or beyond the end; or when the store does not answer.
     pub(in crate::store) fn go_to(&mut self, number: u64) -> Result<(), Error> {
-        let Manifest { floor, first, .. } = *self.chain.newest()?;
+        let first = self.chain.newest()?.first;
         if number < first {
             return Err(Error::Unusable(format!(
                 "record {number} is asked for, and the journal in the bucket begins at {first}"
             )));
         }
+        let next = self.found(number)?;
+        if number > next.number && self.header(next.seq)?.is_none() {
+            return Err(Error::Unusable(format!(
+                "record {number} is asked for, and the journal in the bucket ends at {}",
+                next.number - 1
+            )));
+        }
+        self.next = next;
+        Ok(())
+    }
+
+    /// Goes behind the last segment.
+    ///
+    /// # Errors
+    /// When the store does not answer, or a segment is damaged.
+    pub(in crate::store) fn go_to_end(&mut self) -> Result<Next, Error> {
+        self.chain.newest()?;
+        self.next = self.found(u64::MAX)?;
+        Ok(self.next)
+    }
+
+    /// The segment of a record, by the headers of few; the place behind the last where that ends before.
+    fn found(&self, number: u64) -> Result<Next, Error> {
+        let Manifest { floor, first, .. } = *self.chain.known();
         let mut next = Next { seq: floor, number: first };
         let mut step = 1;
         let mut at = floor;
@@ -126,14 +150,7 @@ impl SharedLog {
             }
             at += step;
         }
-        if number > next.number && self.header(next.seq)?.is_none() {
-            return Err(Error::Unusable(format!(
-                "record {number} is asked for, and the journal in the bucket ends at {}",
-                next.number - 1
-            )));
-        }
-        self.next = next;
-        Ok(())
+        Ok(next)
     }
 
     fn header(&self, seq: u64) -> Result<Option<Header>, Error> {

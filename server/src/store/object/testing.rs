@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -55,31 +55,60 @@ impl Bucket for Ignoring {
     }
 }
 
+/// A bucket that can be switched off.
+pub(in crate::store) struct Switched {
+    pub(in crate::store) inner: Arc<dyn Bucket>,
+    pub(in crate::store) off: Arc<AtomicBool>,
+}
+
+impl Switched {
+    fn on<T>(&self, request: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+        let off = self.off.load(Ordering::Relaxed);
+        if off { Err(Failure::Unknown("nobody answers".to_owned())) } else { request() }
+    }
+}
+
+impl Bucket for Switched {
+    fn create(&self, name: &str, body: &[u8]) -> Result<Created, Failure> {
+        self.on(|| self.inner.create(name, body))
+    }
+
+    fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Option<Vec<u8>>, Failure> {
+        self.on(|| self.inner.get(name, range))
+    }
+
+    fn list(&self, folder: &str) -> Result<Vec<Listed>, Failure> {
+        self.on(|| self.inner.list(folder))
+    }
+
+    fn delete(&self, name: &str) -> Result<(), Failure> {
+        self.on(|| self.inner.delete(name))
+    }
+
+    fn locate(&self, name: &str) -> String {
+        self.inner.locate(name)
+    }
+}
+
 /// A bucket of whose requests some fail: drawn from a seed and how many were made.
 pub(in crate::store) struct Failing {
     inner: Arc<dyn Bucket>,
     seed: u64,
-    per_mille: AtomicU64,
+    per_mille: u64,
     made: AtomicU64,
     lists: Mutex<HashMap<String, Vec<Listed>>>,
 }
 
 impl Failing {
     pub(in crate::store) fn around(inner: Arc<dyn Bucket>, seed: u64, per_mille: u64) -> Self {
-        let (per_mille, made) = (AtomicU64::new(per_mille), AtomicU64::default());
-        Self { inner, seed, per_mille, made, lists: Mutex::default() }
-    }
-
-    /// How many of a thousand requests fail from now on.
-    pub(in crate::store) fn set(&self, per_mille: u64) {
-        self.per_mille.store(per_mille, Ordering::Relaxed);
+        Self { inner, seed, per_mille, made: AtomicU64::default(), lists: Mutex::default() }
     }
 
     /// What the next request does: `None` when it is well.
     fn draw(&self) -> Option<u64> {
         let made = self.made.fetch_add(1, Ordering::Relaxed);
         let word = SipHasher24::new_with_keys(self.seed, 7).hash(&made.to_le_bytes());
-        (word % 1000 < self.per_mille.load(Ordering::Relaxed)).then_some(word / 1000)
+        (word % 1000 < self.per_mille).then_some(word / 1000)
     }
 
     fn with<T>(&self, request: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {

@@ -16,6 +16,7 @@ use crate::store::backend::objects::{Objects, reader};
 
 use crate::store::api::{Error, Imported, Region, io_error};
 use crate::store::log::entry;
+use crate::store::log::sequencer::NewRecord;
 use crate::store::map::context::StoreContext;
 use crate::store::map::stream::{ChecksummedReader, ChecksummedWriter, bad};
 
@@ -92,9 +93,9 @@ pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Re
     let (mut group, mut known) = (Vec::with_capacity(GROUP), 0);
     let mut epoch = shared.index.newest();
     let mut write = |group: &mut Vec<_>| {
-        let written = shared.journal.append_all(std::mem::take(group));
+        let written = shared.journal.submit(std::mem::take(group));
         let written = written.inspect_err(|error| shared.note_stop(error))?;
-        epoch = written.last().map_or(epoch, |written| written.number);
+        epoch = written.last().map_or(epoch, |last| last.written.number);
         Ok::<_, Error>(())
     };
     read(&received, |file, id, encoded| {
@@ -102,7 +103,8 @@ pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Re
             known += 1;
             return Ok(());
         }
-        group.push(entry::import(shared.settings.clock.today(), file, id, &encoded));
+        let (meta, payload) = entry::import(shared.settings.clock.today(), file, id, &encoded);
+        group.push(NewRecord { meta, fresh: false, payload });
         if group.len() == GROUP { write(&mut group) } else { Ok(()) }
     })?;
     write(&mut group)?;
