@@ -21,11 +21,7 @@ pub struct Args {
 /// When the service cannot be reached, is not ready, or does not answer with JSON.
 pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     let ready = get_json_as(credentials, &args.http, "/readyz")?;
-    let map = if args.ready {
-        Value::Null
-    } else {
-        get_json_as(credentials, &args.http, "/api/v1/map")?
-    };
+    let map = if args.ready { Value::Null } else { get_json_as(credentials, &args.http, "/api/v1/map")? };
     let refused = ["unauthenticated", "role_missing"].iter().any(|code| map["error"]["code"] == *code);
     let reason = map["error"]["message"].as_str().unwrap_or_default();
     anyhow::ensure!(!refused, "the service refuses: {reason}");

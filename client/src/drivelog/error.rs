@@ -69,18 +69,6 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
-    /// A message of an MCAP file cannot be used.
-    #[error("{}: message {number} of {topic}: {problem}", .path.display())]
-    Message {
-        /// The file of the drive log.
-        path: PathBuf,
-        /// The topic of the message.
-        topic: String,
-        /// Number of the message within its topic, from 1.
-        number: u64,
-        /// What is wrong and what was expected.
-        problem: Problem,
-    },
     /// An MCAP file that is not a drive.
     #[error("{}: {problem}", .path.display())]
     NotADrive {
