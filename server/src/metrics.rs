@@ -142,8 +142,7 @@ fn classic(text: &str) -> String {
     fn described<'a>(line: &'a str, what: &str) -> Option<(&'a str, &'a str)> {
         line.strip_prefix(what)?.split_once(' ')
     }
-    let kinds: HashMap<&str, &str> =
-        text.lines().filter_map(|line| described(line, "# TYPE ").map(|(name, kind)| (name, kind))).collect();
+    let kinds: HashMap<&str, &str> = text.lines().filter_map(|line| described(line, "# TYPE ")).collect();
     let named = |name: &str| match kinds.get(name) {
         Some(&"counter") => format!("{name}_total"),
         Some(&"info") => format!("{name}_info"),

@@ -1,4 +1,4 @@
-//! An S3-compatible store as a process: SeaweedFS, see `tests/s3/seaweedfs`.
+//! An S3-compatible store as a process: `SeaweedFS`, see `tests/s3/seaweedfs`.
 
 use std::fs::File;
 use std::net::TcpListener;

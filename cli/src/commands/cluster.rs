@@ -9,7 +9,7 @@ use serde_json::json;
 pub struct Args {
     #[command(subcommand)]
     question: Question,
-    /// The bucket, as `store.url` of the services has it: s3://bucket/prefix. Credentials come from AWS_* in the environment.
+    /// The bucket, as `store.url` of the services has it: `s3://bucket/prefix`. Credentials come from AWS_* in the environment.
     #[arg(long, env = "ECHOFIX_STORE_URL", global = true, default_value = "")]
     url: String,
 }

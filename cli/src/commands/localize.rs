@@ -120,12 +120,11 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
     // What cannot be written is told before an hour of questions.
     let out = args.out.as_ref().map(|out| Ok::<_, anyhow::Error>((out, writer(out)?))).transpose()?;
     let bar = progress::bar("localizing", 0, json);
-    let replay = match &args.offline {
-        Some(tiles) => ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?,
-        None => {
-            let localizer = patient_localizer_to(credentials.endpoint(&args.server)?);
-            ask(&drive, &localizer, &plan, args.at_once, &bar).await?
-        }
+    let replay = if let Some(tiles) = &args.offline {
+        ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?
+    } else {
+        let localizer = patient_localizer_to(credentials.endpoint(&args.server)?);
+        ask(&drive, &localizer, &plan, args.at_once, &bar).await?
     };
     bar.finish_and_clear();
     if let Some((out, writer)) = out {

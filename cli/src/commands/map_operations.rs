@@ -110,7 +110,7 @@ pub enum MapOperation {
     Migrate {
         /// The data directory.
         data_dir: PathBuf,
-        /// The bucket: s3://bucket/prefix. Credentials come from AWS_* in the environment.
+        /// The bucket: `s3://bucket/prefix`. Credentials come from AWS_* in the environment.
         url: String,
     },
 }

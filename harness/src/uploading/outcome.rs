@@ -98,12 +98,11 @@ impl UploadedDrive {
 
     /// Tells an error when it comes for the first time, even where no bar is seen.
     fn error(&mut self, message: &str, bar: &ProgressBar) {
-        match self.errors.iter_mut().find(|error| error.message == message) {
-            Some(error) => error.count += 1,
-            None => {
-                bar.suspend(|| eprintln!("{message}"));
-                self.errors.push(RepeatedError { message: message.to_owned(), count: 1 });
-            }
+        if let Some(error) = self.errors.iter_mut().find(|error| error.message == message) {
+            error.count += 1;
+        } else {
+            bar.suspend(|| eprintln!("{message}"));
+            self.errors.push(RepeatedError { message: message.to_owned(), count: 1 });
         }
     }
 

@@ -26,7 +26,7 @@ impl Config {
             mapping(&self.mapping),
             limits(&self.limits),
             alarms(&self.alarms),
-            rates(&self.rates),
+            rates(self.rates),
             together(self),
         ];
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
@@ -291,7 +291,7 @@ fn limits(limits: &LimitsConfig) -> Vec<Rule> {
     ]
 }
 
-fn rates(rates: &RatesConfig) -> Vec<Rule> {
+fn rates(rates: RatesConfig) -> Vec<Rule> {
     let most = "must be at most 1000000; 0 is no limit";
     vec![
         ("rates.localize_per_s", rates.localize_per_s <= 1_000_000, most),

@@ -80,12 +80,12 @@ impl Error {
         match self {
             Self::BadRequest(_) => StatusCode::BAD_REQUEST,
             Self::NotFound(_) => StatusCode::NOT_FOUND,
-            Self::MethodNotAllowed | Self::PostOnly(_) => StatusCode::METHOD_NOT_ALLOWED,
+            Self::MethodNotAllowed | Self::PostOnly(_) | Self::Refused(Refusal::NotServed) => {
+                StatusCode::METHOD_NOT_ALLOWED
+            }
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
-            Self::WrongOrigin => StatusCode::FORBIDDEN,
+            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
             Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
-            Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
-            Self::Refused(Refusal::NotServed) => StatusCode::METHOD_NOT_ALLOWED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
@@ -104,12 +104,13 @@ impl Error {
         match self {
             Self::BadRequest(_) => "bad_request",
             Self::NotFound(_) => "not_found",
-            Self::MethodNotAllowed | Self::PostOnly(_) => "method_not_allowed",
+            Self::MethodNotAllowed | Self::PostOnly(_) | Self::Refused(Refusal::NotServed) => {
+                "method_not_allowed"
+            }
             Self::WrongHost => "wrong_host",
             Self::WrongOrigin => "wrong_origin",
             Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
             Self::Refused(Refusal::Forbidden { .. }) => "role_missing",
-            Self::Refused(Refusal::NotServed) => "method_not_allowed",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::Saturated(_) => "saturated",
             Self::TooSlow(_) => "too_slow",

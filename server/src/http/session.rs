@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use super::App;
 use super::error::Error;
-use crate::identity::{Caller, Peer};
+use crate::identity::{Caller, Peer, Role};
 
 /// With what a browser signs in.
 #[derive(Deserialize)]
@@ -49,6 +49,6 @@ pub async fn sign_out(State(app): State<Arc<App>>, peer: OnPeer, headers: Header
 }
 
 fn caller_json(caller: &Caller) -> Value {
-    let roles: Vec<_> = caller.roles.iter().map(|role| role.name()).collect();
+    let roles: Vec<_> = caller.roles.iter().map(Role::name).collect();
     json!({ "name": caller.name, "roles": roles, "known_by": caller.known.word() })
 }

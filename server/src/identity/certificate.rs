@@ -63,15 +63,12 @@ pub fn serial_of_pem(pem: &[u8]) -> Option<String> {
 
 /// Role and name of `echofix://ROLE/NAME` or `spiffe://DOMAIN/echofix/ROLE/NAME`.
 fn told_by<'a>(uri: &'a str, trust_domain: &str) -> Option<(Role, &'a str)> {
-    let path = match uri.strip_prefix("echofix://") {
-        Some(path) => path,
-        None => {
-            let (domain, path) = uri.strip_prefix("spiffe://")?.split_once('/')?;
-            (trust_domain.is_empty() || trust_domain == domain).then_some(())?;
-            path.strip_prefix("echofix/")?
-        }
-    };
-    role_and_name(path)
+    if let Some(path) = uri.strip_prefix("echofix://") {
+        return role_and_name(path);
+    }
+    let (domain, path) = uri.strip_prefix("spiffe://")?.split_once('/')?;
+    (trust_domain.is_empty() || trust_domain == domain).then_some(())?;
+    role_and_name(path.strip_prefix("echofix/")?)
 }
 
 /// Role and name of `ROLE/NAME`.

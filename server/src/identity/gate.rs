@@ -210,8 +210,7 @@ impl Gate {
             return Ok(Caller { name, roles, known: Known::Certificate, address });
         }
         if let Some(told) = self.told_by_proxy(peer, headers) {
-            let (role, name) =
-                told.ok_or_else(|| refused("the proxy's header is not ROLE/NAME, or there are several"))?;
+            let (role, name) = told?;
             return Ok(Caller { name: name.to_owned(), roles: role.into(), known: Known::Proxy, address });
         }
         let roles = if let Strangers::With(roles) = self.strangers { roles } else { Roles::default() };
@@ -231,7 +230,7 @@ impl Gate {
         &self,
         peer: Option<&Peer>,
         headers: &'a HeaderMap,
-    ) -> Option<Option<(Role, &'a str)>> {
+    ) -> Option<Result<(Role, &'a str), Refusal>> {
         let header = &self.identity.proxy_header;
         let local = peer.is_some_and(|peer| peer.address.ip().to_canonical().is_loopback());
         if header.is_empty() || !local {
@@ -240,7 +239,8 @@ impl Gate {
         let mut values = headers.get_all(header.as_str()).iter();
         let value = values.next()?;
         let only = values.next().is_none();
-        Some(value.to_str().ok().and_then(role_and_name).filter(|_| only))
+        let told = value.to_str().ok().and_then(role_and_name).filter(|_| only);
+        Some(told.ok_or_else(|| refused("the proxy's header is not ROLE/NAME, or there are several")))
     }
 
     /// Begins a browser's session with a token; returns the cookie that stands for it.

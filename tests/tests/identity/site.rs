@@ -23,7 +23,7 @@ use super::authority::{Authority, Certified};
 use super::calls::{Call, ROLES};
 
 /// A busy machine takes its time.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// What came of a call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -212,7 +212,7 @@ impl Site {
     /// Removes the token of a role from the file.
     pub fn withdraw_token(&self, role: &str) {
         let of_role = |line: &&str| !line.contains(&format!(" {role}-1 "));
-        self.replace("tokens", |text| text.lines().filter(of_role).map(|line| format!("{line}\n")).collect());
+        self.replace("tokens", |text| text.lines().filter(of_role).flat_map(|line| [line, "\n"]).collect());
     }
 
     /// Breaks the certificate.

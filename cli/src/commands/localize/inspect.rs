@@ -51,7 +51,7 @@ pub async fn run(
     let question = &asked.questions[number - 1];
     let localizer = OfflineLocalizer::open(tiles)?;
     let answer = localizer.answer(&question.question).await;
-    let picture = drawn(&localizer, question, number, answer)?;
+    let picture = drawn(&localizer, question, number, &answer)?;
     let told = picture.title.clone();
     let html = out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("html"));
     let text = if html { picture.html() } else { picture.svg() };
@@ -63,14 +63,14 @@ fn drawn(
     localizer: &OfflineLocalizer,
     asked: &TruthQuestion,
     number: usize,
-    answer: Result<LocalizeResponse, CallError>,
+    answer: &Result<LocalizeResponse, CallError>,
 ) -> anyhow::Result<Picture> {
     let request = &asked.question.request;
     let prior = request.prior.as_ref().and_then(|prior| prior.pose).context("the question has no prior")?;
     let at = LatLon { lat_deg: prior.latitude_deg, lon_deg: prior.longitude_deg };
     let grid = Grid::of(at)?;
     let prior = grid.pose_from_geodetic(at, prior.yaw_rad)?;
-    let (pose, verdict, reason) = match &answer {
+    let (pose, verdict, reason) = match answer {
         Ok(answer) => {
             let correction = answer.correction.unwrap_or_default();
             (moved(&prior, &correction), answer.status().as_str_name(), answer.status_reason.clone())

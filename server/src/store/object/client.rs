@@ -65,7 +65,7 @@ impl Client {
                 Ok(Created::Won) => return Ok(Put::Ours),
                 Ok(Created::Taken) => true,
                 Err(failure) => {
-                    tries.again(failure)?;
+                    tries.again(&failure)?;
                     false
                 }
             };
@@ -125,7 +125,7 @@ impl Client {
     /// When it does not.
     pub(in crate::store) fn tries_once(&self, name: &str) -> Result<(), Error> {
         let asked = self.bucket.create(name, b"trial").and_then(|_| self.bucket.delete(name));
-        asked.map_err(failed)
+        asked.map_err(|failure| failed(&failure))
     }
 
     fn tried<T>(&self, request: impl Fn() -> Result<T, Failure>) -> Result<T, Error> {
@@ -133,7 +133,7 @@ impl Client {
         loop {
             match request() {
                 Ok(answer) => return Ok(answer),
-                Err(failure) => tries.again(failure)?,
+                Err(failure) => tries.again(&failure)?,
             }
         }
     }
@@ -152,7 +152,7 @@ impl Tries {
 
     /// Waits before the next try: a random part of the pause, so that servers that failed together do not come back
     /// together.
-    fn again(&mut self, failure: Failure) -> Result<(), Error> {
+    fn again(&mut self, failure: &Failure) -> Result<(), Error> {
         let vain = matches!(failure, Failure::Refused(_));
         if vain || self.began.elapsed() + self.pause > self.patience.limit {
             return Err(failed(failure));
@@ -165,7 +165,7 @@ impl Tries {
     }
 }
 
-fn failed(failure: Failure) -> Error {
+fn failed(failure: &Failure) -> Error {
     let kind = match failure {
         Failure::Unknown(_) => std::io::ErrorKind::TimedOut,
         Failure::Refused(_) => std::io::ErrorKind::PermissionDenied,

@@ -107,9 +107,9 @@ fn failure(error: &object_store::Error) -> Failure {
         | Store::Unauthenticated { .. }
         | Store::InvalidPath { .. }
         | Store::NotImplemented { .. }
-        | Store::NotSupported { .. } => Failure::Refused(text),
+        | Store::NotSupported { .. }
         // There is no such bucket.
-        Store::NotFound { .. } => Failure::Refused(text),
+        | Store::NotFound { .. } => Failure::Refused(text),
         _ => Failure::Unknown(text),
     }
 }

@@ -413,7 +413,9 @@ fn a_fleet_loses_nothing_and_doubles_nothing() {
         });
         let mut times: HashMap<u64, u32> = HashMap::new();
         let found = counted(&client(bucket)).unwrap();
-        found.iter().for_each(|id| *times.entry(*id).or_default() += 1);
+        for id in &found {
+            *times.entry(*id).or_default() += 1;
+        }
         let acknowledged = drive.acknowledged.into_inner().unwrap();
         let lost: Vec<_> = acknowledged.iter().filter(|id| !times.contains_key(id)).collect();
         let doubled: Vec<_> = times.iter().filter(|(_, times)| **times > 1).collect();

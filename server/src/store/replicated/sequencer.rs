@@ -105,7 +105,7 @@ impl Follower {
         let before = self.refusing.is_some();
         match &refusing {
             Some(reason) if !before => {
-                tracing::error!(reason, "the bucket cannot be used; it is tried again")
+                tracing::error!(reason, "the bucket cannot be used; it is tried again");
             }
             None if before => tracing::info!("the bucket can be used again"),
             _ => {}
@@ -201,13 +201,13 @@ impl Follower {
                     Appended::Passed => return Err(copy::passed()),
                 }
             }
-            let mut sequenced = |known: Option<Written>| match known {
-                Some(written) => Ok(Sequenced { written, known: true }),
-                None => {
-                    let written = next.next().and_then(|number| self.shared.index.get(number));
-                    let lost = || Error::Stopped("a record that was written is not in the index".to_owned());
-                    Ok(Sequenced { written: written.ok_or_else(lost)?, known: false })
+            let mut sequenced = |known: Option<Written>| {
+                if let Some(written) = known {
+                    return Ok(Sequenced { written, known: true });
                 }
+                let written = next.next().and_then(|number| self.shared.index.get(number));
+                let lost = || Error::Stopped("a record that was written is not in the index".to_owned());
+                Ok(Sequenced { written: written.ok_or_else(lost)?, known: false })
             };
             return known.into_iter().map(|one| one.into_iter().map(&mut sequenced).collect()).collect();
         }

@@ -59,11 +59,10 @@ impl Picture {
 
     /// A page with the square, and all that is said of it.
     pub fn html(&self) -> String {
-        let rows: String = self
-            .facts
-            .iter()
-            .map(|(name, fact)| format!("<tr><th scope=\"row\">{name}</th><td>{}</td></tr>\n", escaped(fact)))
-            .collect();
+        let row = |(name, fact): &(&str, String)| {
+            ["<tr><th scope=\"row\">", name, "</th><td>", &escaped(fact), "</td></tr>\n"].concat()
+        };
+        let rows: String = self.facts.iter().map(row).collect();
         format!(
             "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>{title}</title>\n<style>body{{font:15px \
              sans-serif;margin:1em;max-width:60em}}th{{text-align:left;padding-right:1em;white-space:nowrap}}svg{{max-width:100%}}</style>\n\

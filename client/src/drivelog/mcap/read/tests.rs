@@ -140,7 +140,7 @@ fn damage_is_told_and_never_a_panic() {
         std::fs::write(&path, &good[..cut]).unwrap();
         match drivelog::read(&path) {
             Ok(log) => {
-                assert!(log.flaws.count("cut_off") == 1 || log.drive == small(), "{cut}: {}", log.flaws)
+                assert!(log.flaws.count("cut_off") == 1 || log.drive == small(), "{cut}: {}", log.flaws);
             }
             Err(error) => assert!(error.to_string().contains("d.mcap"), "{error}"),
         }
