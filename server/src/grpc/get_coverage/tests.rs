@@ -56,6 +56,6 @@ async fn work_ends_with_its_caller() {
     calls.iter().for_each(tokio::task::JoinHandle::abort);
     let gone = Instant::now();
     let _all = permits.acquire_many(8).await.unwrap();
-    // A step takes some milliseconds; a busy machine has other things to do meanwhile. Without an end it is many seconds.
-    assert!(gone.elapsed() < Duration::from_secs(2), "the work went on for {:?}", gone.elapsed());
+    // A step takes some milliseconds, and far longer beside all other tests. Without an end it is the better part of a minute.
+    assert!(gone.elapsed() < Duration::from_secs(15), "the work went on for {:?}", gone.elapsed());
 }
