@@ -88,7 +88,12 @@ async fn a_taken_port_and_a_taken_directory_are_reported() {
 async fn the_address_file_names_both_ports() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("addresses.json");
-    serve(config(dir.path(), &[]), Some(&file), async {}).await.unwrap();
+    let written = async {
+        while !file.exists() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    serve(config(dir.path(), &[]), Some(&file), written).await.unwrap();
     let addresses: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     for port in ["grpc", "http"] {
         assert!(addresses[port].as_str().unwrap().starts_with("127.0.0.1:"), "{addresses}");

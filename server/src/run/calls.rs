@@ -25,8 +25,12 @@ const AT_LEISURE: [&str; 2] = [
     "/echofix.v1.LocalizationService/LocalizeStream",
     "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
 ];
+/// Tells who watches whether the service serves.
+const WATCH: &str = "/grpc.health.v1.Health/Watch";
 /// Calls whose answers have no end of their own.
-const WITHOUT_END: [&str; 3] = [AT_LEISURE[0], AT_LEISURE[1], "/grpc.health.v1.Health/Watch"];
+const WITHOUT_END: [&str; 3] = [AT_LEISURE[0], AT_LEISURE[1], WATCH];
+/// How long a watcher has to be told that the service does not serve, before its answer ends.
+const LAST_WORD: Duration = Duration::from_millis(300);
 /// When a caller whose stream was ended should come again: to whatever serves by then.
 const RETRY: Duration = Duration::from_secs(1);
 
@@ -78,7 +82,8 @@ where
         let held = connection.as_ref().map(|origin| origin.used.begin());
         let path = request.uri().path();
         let pace = (!AT_LEISURE.contains(&path)).then_some(pace);
-        let end = WITHOUT_END.contains(&path).then(|| ending.clone());
+        let last_word = if path == WATCH { LAST_WORD } else { Duration::ZERO };
+        let end = WITHOUT_END.contains(&path).then(|| ended_after(ending.clone(), last_word));
         let mut request = request.map(|body| Body::new(PacedBody::new(body, pace, ending).told(too_slow)));
         if let Some(connection) = connection {
             request.extensions_mut().insert(connection.used.peer());
@@ -89,6 +94,16 @@ where
     }
 }
 
+/// Resolves so long after the service begins to end.
+fn ended_after(ending: watch::Receiver<bool>, wait: Duration) -> End {
+    Box::pin(async move {
+        ended(ending).await;
+        tokio::time::sleep(wait).await;
+    })
+}
+
+type End = Pin<Box<dyn Future<Output = ()> + Send>>;
+
 fn too_slow(error: TooSlow) -> crate::pace::BodyError {
     Status::deadline_exceeded(error.to_string()).into()
 }
@@ -97,15 +112,14 @@ fn too_slow(error: TooSlow) -> crate::pace::BodyError {
 struct AnswerBody {
     inner: Body,
     /// Where the answer has no end of its own: when the service ends.
-    end: Option<Pin<Box<dyn Future<Output = ()> + Send>>>,
+    end: Option<End>,
     over: bool,
     _held: Option<InUse>,
 }
 
 impl AnswerBody {
-    fn new(inner: Body, held: Option<InUse>, end: Option<watch::Receiver<bool>>) -> Self {
+    fn new(inner: Body, held: Option<InUse>, end: Option<End>) -> Self {
         let end = end.filter(|_| !inner.is_end_stream());
-        let end = end.map(|ending| Box::pin(ended(ending)) as Pin<Box<dyn Future<Output = ()> + Send>>);
         Self { inner, end, over: false, _held: held }
     }
 }
