@@ -74,7 +74,7 @@
 //! - [`varint`]: the alphabet of all codecs.
 //! - [`window`]: the square of the map that an alignment needs.
 //! - [`agreement`]: nearest-neighbour questions: how well do points agree with the map?
-//! - [`near`]: the same where only near or far is asked, in a sixth of the bytes.
+//! - [`near`]: the same where only near or far is asked, in a sixth of the bytes; [`buckets`]: that exactly.
 //! - [`align`]: `fast_global_align`; the pipeline from map and batch to an answer; its engines.
 //! - [`vetting`]: does an upload agree with the map, and how far beside it does it lie?
 //!
@@ -84,6 +84,7 @@
 pub mod agreement;
 pub mod align;
 pub mod batch;
+pub mod buckets;
 pub mod calibration;
 mod columns;
 pub mod convention;

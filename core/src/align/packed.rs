@@ -74,11 +74,11 @@ fn square_of(strip: &[u8], column: usize) -> [u8; CELLS] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn unpacked(packed: &PackedWeights) -> Vec<u8> {
+    pub(in crate::align) fn unpacked(packed: &PackedWeights) -> Vec<u8> {
         let mut fine = vec![0; CELLS_PER_TILE * CELLS_PER_TILE];
         packed.each(|x, y, weights| {
             for (row, from) in weights.chunks_exact(SQUARE).enumerate() {

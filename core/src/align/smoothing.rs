@@ -44,6 +44,12 @@ pub(super) fn weights(masses: &[CellMass]) -> Box<[u8]> {
     Isa::best().run(Weighing { masses })
 }
 
+/// Rows that are smoothed at a time: their sums stay in the processor's cache.
+const BAND: usize = 64;
+/// Columns that are looked at together: where no kernel reached, the weights are 0.
+const BLOCK: usize = 16;
+const _: () = assert!(SIDE.is_multiple_of(BAND) && MARGIN == BLOCK && TAPS <= BLOCK && STRIDE / BLOCK < 64);
+
 struct Weighing<'a> {
     masses: &'a [CellMass],
 }
@@ -54,39 +60,76 @@ impl Kernel for Weighing<'_> {
     #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
     #[inline(always)]
     fn run(self) -> Box<[u8]> {
-        let mut sums = vec![0.0; STRIDE * STRIDE];
+        let placed: Vec<Placed> = self.masses.iter().map(Placed::new).collect();
         let kernels = &*KERNELS;
-        for mass in self.masses {
-            add(&mut sums, kernels, mass);
-        }
+        let mut sums = vec![0.0; BAND * STRIDE];
         let mut weights = vec![0; SIDE * SIDE];
-        let inside = sums.chunks_exact(STRIDE).skip(MARGIN).map(|row| &row[MARGIN..MARGIN + SIDE]);
-        for (weights, sums) in weights.chunks_exact_mut(SIDE).zip(inside) {
-            weights.iter_mut().zip(sums).for_each(|(weight, sum)| *weight = byte(*sum));
+        for (band, weights) in weights.chunks_exact_mut(BAND * SIDE).enumerate() {
+            let from = MARGIN + band * BAND;
+            let mut reached = 0_u64;
+            for mass in &placed {
+                if mass.row + TAPS > from && mass.row < from + BAND {
+                    add(&mut sums, kernels, mass, from);
+                    reached |= 1 << (mass.column / BLOCK) | 1 << ((mass.column + TAPS - 1) / BLOCK);
+                }
+            }
+            for block in (0..STRIDE / BLOCK).filter(|block| reached >> block & 1 == 1) {
+                weigh_block(&mut sums, weights, block);
+            }
         }
         weights.into_boxed_slice()
     }
 }
 
-/// Compiled for an instruction set with what calls it.
+/// A mass with the first row and column of its kernel, counted from the margin's corner.
+struct Placed {
+    row: usize,
+    column: usize,
+    phases: [usize; 2],
+    knees: f32,
+}
+
+impl Placed {
+    fn new(mass: &CellMass) -> Self {
+        let [x, y] = mass.at.map(|along| along + (MARGIN - REACH) as f64);
+        let (column, row) = (x as i32, y as i32);
+        // Masked, not clamped: in the cell there are no others.
+        let phase =
+            |along: f64, cell: i32| ((along - f64::from(cell)) * PHASES as f64) as i32 as usize % PHASES;
+        let phases = [phase(x, column), phase(y, row)];
+        Self { row: row as usize, column: column as usize, phases, knees: mass.mass / KNEE }
+    }
+}
+
+/// Adds a mass to the sums of a band's rows, of which `from` is the first. Compiled for an instruction set with what calls
+/// it, as are the next ones.
 #[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
 #[inline(always)]
-fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], cell_mass: &CellMass) {
-    let [x, y] = cell_mass.at.map(|along| along + (MARGIN - REACH) as f64);
-    let (column, row) = (x as i32, y as i32);
-    let kernel = |along: f64, cell: i32| {
-        // Masked, not clamped: in the cell there are no others.
-        &kernels[((along - f64::from(cell)) * PHASES as f64) as i32 as usize % PHASES]
-    };
-    let (kernel_x, kernel_y) = (kernel(x, column), kernel(y, row));
-    let mass = cell_mass.mass / KNEE;
-    let mut from = row as usize * STRIDE + column as usize;
-    for tap_y in &kernel_y[..=2 * REACH] {
-        let weight = mass * tap_y;
-        if let Some(sums) = sums.get_mut(from..).and_then(|sums| sums.first_chunk_mut::<TAPS>()) {
+fn add(sums: &mut [f32], kernels: &[[f32; TAPS]; PHASES], mass: &Placed, from: usize) {
+    let [kernel_x, kernel_y] = mass.phases.map(|phase| &kernels[phase % PHASES]);
+    for (row, tap_y) in (mass.row..).zip(&kernel_y[..=2 * REACH]) {
+        let weight = mass.knees * tap_y;
+        // Rows before the band or after it are another band's.
+        let at = row.wrapping_sub(from).wrapping_mul(STRIDE).wrapping_add(mass.column);
+        if let Some(sums) = sums.get_mut(at..).and_then(|sums| sums.first_chunk_mut::<TAPS>()) {
             sums.iter_mut().zip(kernel_x).for_each(|(sum, tap_x)| *sum += weight * tap_x);
         }
-        from += STRIDE;
+    }
+}
+
+/// Makes weights of a block of columns of a band, and its sums 0 again.
+#[expect(clippy::inline_always, reason = "only what is inlined is compiled for an instruction set")]
+#[inline(always)]
+fn weigh_block(sums: &mut [f32], weights: &mut [u8], block: usize) {
+    let rows = sums.chunks_exact_mut(STRIDE).zip(weights.chunks_exact_mut(SIDE));
+    for (sums, weights) in rows {
+        let Some(sums) = sums[block * BLOCK..].first_chunk_mut::<BLOCK>() else { continue };
+        // The margin has sums and no weights.
+        let within = (block * BLOCK).checked_sub(MARGIN).and_then(|column| weights.get_mut(column..));
+        if let Some(weights) = within.and_then(|weights| weights.first_chunk_mut::<BLOCK>()) {
+            *weights = sums.map(byte);
+        }
+        *sums = [0.0; BLOCK];
     }
 }
 
@@ -159,7 +202,7 @@ mod tests {
         let (low, high) = (-HALO as f64, (SIDE as i64 + HALO) as f64 - 1e-9);
         for [x, y] in [[low, low], [low, high], [high, low], [high, high], [0.0, 0.0], [300.3, 17.9]] {
             let mut sums = vec![0.0; STRIDE * STRIDE];
-            add(&mut sums, &KERNELS, &CellMass { at: [x, y], mass: 3.0 });
+            add(&mut sums, &KERNELS, &Placed::new(&CellMass { at: [x, y], mass: 3.0 }), 0);
             let sum: f32 = sums.iter().sum();
             assert!((sum * KNEE - 3.0).abs() < 1e-4, "{x} {y}: {sum}");
         }

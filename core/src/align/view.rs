@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use super::packed::{CELLS, SQUARE};
-use super::weights::{COARSE, KNOWN, TileWeights, Weights, mean};
+use super::weights::{COARSE, KNOWN, TileWeights, mean};
 use crate::datum::{MapVariance, mean_offset};
 use crate::geo::{CELLS_PER_TILE, TileId};
 use crate::point::MapPoint;
@@ -77,17 +77,10 @@ impl MapView {
         for tile in tiles {
             let first = tile.id.first_cell();
             let at = [first.x - square.origin.x, first.y - square.origin.y];
-            match tile.weights() {
-                Weights::Whole { fine, coarse } => {
-                    paste(fine, CELLS_PER_TILE as i64, &mut self.fine, square.side as i64, at);
-                    let at = at.map(|cells| cells.div_euclid(COARSE as i64));
-                    paste(coarse, (CELLS_PER_TILE / COARSE) as i64, &mut self.coarse, coarse_side as i64, at);
-                }
-                Weights::Packed(weights) => {
-                    let at = at.map(|cells| cells.div_euclid(SQUARE as i64));
-                    weights.each(|x, y, weights| self.unpack([at[0] + x as i64, at[1] + y as i64], weights));
-                }
-            }
+            let squares = at.map(|cells| cells.div_euclid(SQUARE as i64));
+            tile.weights().each(|x, y, weights| {
+                self.unpack([squares[0] + x as i64, squares[1] + y as i64], weights);
+            });
             self.mark_known(tile, at.map(|cells| cells.div_euclid(KNOWN as i64)));
         }
     }
@@ -198,24 +191,10 @@ fn inside(at: i64, count: usize) -> Option<usize> {
     usize::try_from(at).ok().filter(|at| *at < count)
 }
 
-/// Copies the part of a square image that lies on another one; `at` is where its first value goes.
-fn paste(from: &[u8], from_side: i64, to: &mut [u8], to_side: i64, at: [i64; 2]) {
-    let [x0, y0] = at;
-    let (left, right) = (x0.max(0), (x0 + from_side).min(to_side));
-    if left >= right {
-        return;
-    }
-    let width = (right - left) as usize;
-    for y in y0.max(0)..(y0 + from_side).min(to_side) {
-        let source = ((y - y0) * from_side + left - x0) as usize;
-        let target = (y * to_side + left) as usize;
-        to[target..target + width].copy_from_slice(&from[source..source + width]);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::packed::tests::unpacked;
     use crate::evidence::Cell;
     use crate::evidence::presence::ALWAYS;
     use crate::geo::{CELL_M, TILE_M, Zone};
@@ -234,8 +213,7 @@ mod tests {
         let mut view = MapView::default();
         view.assemble(square, std::slice::from_ref(&weights));
         let first = id.first_cell();
-        let Weights::Whole { fine, .. } = weights.weights() else { panic!("it is not packed") };
-        for (index, value) in fine.iter().enumerate() {
+        for (index, value) in unpacked(weights.weights()).iter().enumerate() {
             let (x, y) = (
                 first.x + index as i64 % 512 - square.origin.x,
                 first.y + index as i64 / 512 - square.origin.y,
@@ -254,27 +232,25 @@ mod tests {
         );
     }
 
-    /// Catches: a packed tile that lies elsewhere, or whose means or known squares are others.
+    /// Catches: means of other cells than a pixel's, or of some of them.
     #[test]
-    fn a_packed_tile_looks_like_a_whole_one() {
+    fn a_coarse_pixel_is_the_mean_of_its_cells() {
         let zone = Zone::from_epsg(32614).unwrap();
         let position = MapPoint::new(600_010.0, 3_300_020.0);
         let id = TileId::of(zone, position);
         let cell = |i| Cell { hits: 1 + i % 7, passes: 2, presence: ALWAYS, ..Cell::default() };
         let tile = Tile::from_cells((0..2000).map(|i| (i * 131, cell(i))).collect()).unwrap();
-        let find = |at| (at == id).then_some(&tile);
-        let square = MapSquare::around(zone, position, 50.0, 6.0);
-        let of = |weights| {
-            let mut view = MapView::default();
-            view.assemble(square, &[Arc::new(weights)]);
-            view
-        };
-        let (whole, packed) = (of(TileWeights::new(id, find)), of(TileWeights::packed(id, find)));
-        assert_eq!(whole.known, packed.known);
-        for (whole, packed) in [(&whole.fine, &packed.fine), (&whole.coarse, &packed.coarse)] {
-            assert_eq!(whole.len(), packed.len());
-            assert!(whole == packed && whole.iter().any(|weight| *weight > 50));
+        let mut view = MapView::default();
+        let weights = Arc::new(TileWeights::packed(id, |at| (at == id).then_some(&tile)));
+        view.assemble(MapSquare::around(zone, position, 50.0, 6.0), &[weights]);
+        let (fine, coarse) = (view.fine(), view.coarse());
+        for (i, mean) in coarse.weights[..coarse.side * coarse.side].iter().enumerate() {
+            let at = [i % coarse.side, i / coarse.side].map(|along| along * COARSE);
+            let rows = (at[1]..at[1] + COARSE).map(|y| &fine.weights[y * fine.side + at[0]..][..COARSE]);
+            let sum: u32 = rows.flatten().copied().map(u32::from).sum();
+            assert_eq!(u32::from(*mean), sum.div_ceil((COARSE * COARSE) as u32), "{at:?}");
         }
+        assert!(coarse.weights.iter().any(|weight| *weight > 5));
     }
 
     /// Catches: a map's error computed from the avenue where the batch is aligned by the lane's fronts.

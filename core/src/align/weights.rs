@@ -8,7 +8,7 @@
 
 use super::packed::{PackedWeights, SQUARE};
 use super::smoothing::{self, CellMass, HALO};
-use crate::agreement::MapPointIndex;
+use crate::buckets::PointBuckets;
 use crate::datum::Datum;
 use crate::evidence::Cell;
 use crate::geo::{CELL_M, CELLS_PER_TILE, TILE_M, TileId};
@@ -94,17 +94,9 @@ impl PassSums {
     }
 }
 
-/// A tile's weights, row-major, and the means of [`COARSE`] x [`COARSE`] of them.
-pub(super) enum Weights {
-    /// A byte each.
-    Whole { fine: Box<[u8]>, coarse: Box<[u8]> },
-    /// The means are made when they are asked for.
-    Packed(PackedWeights),
-}
-
 /// The points of a tile and its borders.
 enum Points {
-    Exact(MapPointIndex),
+    Exact(PointBuckets),
     Packed(NearPoints),
 }
 
@@ -112,7 +104,7 @@ enum Points {
 pub struct TileWeights {
     /// The tile.
     pub id: TileId,
-    weights: Weights,
+    weights: PackedWeights,
     /// For each square of [`KNOWN`] x [`KNOWN`] cells a bit, set where the map has been; a word a row.
     known: Box<[u64]>,
     points: Points,
@@ -134,37 +126,31 @@ impl TileWeights {
     #[must_use]
     pub fn new<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
         Self::with(id, tile_at, |masses| {
-            let fine = smoothing::weights(masses);
-            let corner = id.origin();
-            let position = |mass: &CellMass| corner.moved(mass.at[0] * CELL_M, mass.at[1] * CELL_M);
-            let points = MapPointIndex::new(masses.iter().map(position));
-            (Weights::Whole { coarse: pooled(&fine), fine }, Points::Exact(points))
+            Points::Exact(PointBuckets::new(id, masses.iter().map(|mass| mass.at)))
         })
     }
 
-    /// Weighs a tile in an eighth of the bytes, for localizing. The weights are the same; what is near is known to half a
-    /// cell.
+    /// Weighs a tile in fewer bytes, for localizing: what is near is known to half a cell.
     #[must_use]
     pub fn packed<'a>(id: TileId, tile_at: impl Fn(TileId) -> Option<&'a Tile>) -> Self {
         Self::with(id, tile_at, |masses| {
-            let weights = PackedWeights::of(&smoothing::weights(masses));
-            (Weights::Packed(weights), Points::Packed(NearPoints::new(id, masses.iter().map(|mass| mass.at))))
+            Points::Packed(NearPoints::new(id, masses.iter().map(|mass| mass.at)))
         })
     }
 
     fn with<'a>(
         id: TileId,
         tile_at: impl Fn(TileId) -> Option<&'a Tile>,
-        weigh: impl FnOnce(&[CellMass]) -> (Weights, Points),
+        points: impl FnOnce(&[CellMass]) -> Points,
     ) -> Self {
         let empty = Tile::default();
         let own = tile_at(id).unwrap_or(&empty);
-        let (weights, points) = weigh(&around(id, &tile_at));
+        let masses = around(id, &tile_at);
         Self {
             id,
-            weights,
+            weights: PackedWeights::of(&smoothing::weights(&masses)),
             known: known(id, &tile_at),
-            points,
+            points: points(&masses),
             blocks: blocks(own),
             cells: own.len(),
             newest_day: own.newest_day(),
@@ -174,7 +160,7 @@ impl TileWeights {
     }
 
     /// The weights, [`STEPS`] to a unit of the logarithm.
-    pub(super) fn weights(&self) -> &Weights {
+    pub(super) fn weights(&self) -> &PackedWeights {
         &self.weights
     }
 
@@ -187,7 +173,7 @@ impl TileWeights {
     #[must_use]
     pub fn is_near(&self, position: MapPoint, radius_m: f64) -> bool {
         match &self.points {
-            Points::Exact(points) => points.distance_m(position).is_some_and(|distance| distance <= radius_m),
+            Points::Exact(points) => points.is_near(position, radius_m),
             Points::Packed(points) => points.is_near(position, radius_m),
         }
     }
@@ -195,15 +181,15 @@ impl TileWeights {
     /// Bytes held, approximately.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let weights = match &self.weights {
-            Weights::Whole { fine, coarse } => fine.len() + coarse.len(),
-            Weights::Packed(weights) => weights.bytes(),
-        };
         let points = match &self.points {
             Points::Exact(points) => points.bytes(),
             Points::Packed(points) => points.bytes(),
         };
-        weights + points + size_of_val(&*self.known) + size_of_val(&*self.blocks) + size_of::<Self>()
+        self.weights.bytes()
+            + points
+            + size_of_val(&*self.known)
+            + size_of_val(&*self.blocks)
+            + size_of::<Self>()
     }
 }
 
@@ -291,25 +277,10 @@ fn rounded(sum: u16) -> u8 {
     sum.div_ceil((COARSE * COARSE) as u16) as u8
 }
 
-/// Means of [`COARSE`] x [`COARSE`] cells.
-fn pooled(fine: &[u8]) -> Box<[u8]> {
-    let mut pooled = Vec::with_capacity(fine.len() / (COARSE * COARSE));
-    let mut sums = [0_u16; SIDE / COARSE];
-    for rows in fine.chunks_exact(SIDE * COARSE) {
-        sums.fill(0);
-        for row in rows.chunks_exact(SIDE) {
-            for (sum, cells) in sums.iter_mut().zip(row.chunks_exact(COARSE)) {
-                *sum += cells.iter().copied().map(u16::from).sum::<u16>();
-            }
-        }
-        pooled.extend(sums.iter().copied().map(rounded));
-    }
-    pooled.into_boxed_slice()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::packed::tests::unpacked;
     use crate::evidence::presence::ALWAYS;
     use crate::geo::Zone;
 
@@ -328,24 +299,20 @@ mod tests {
         Tile::from_cells(cells.iter().map(|(index, offset)| (*index, cell(*offset))).collect()).unwrap()
     }
 
-    fn whole(weights: &TileWeights) -> (&[u8], &[u8]) {
-        match weights.weights() {
-            Weights::Whole { fine, coarse } => (fine, coarse),
-            Weights::Packed(_) => panic!("it is not packed"),
-        }
+    fn fine(weights: &TileWeights) -> Vec<u8> {
+        unpacked(weights.weights())
     }
 
     #[test]
     fn the_weight_is_highest_where_the_hits_were_and_falls_off_evenly() {
         let hit = tile(&[(30 * 512 + 20, [128, 128])]);
         let weights = TileWeights::new(id(), |at| (at == id()).then_some(&hit));
-        let (fine, coarse) = whole(&weights);
+        let fine = fine(&weights);
         let at = |x: usize, y: usize| fine[y * 512 + x];
         assert_eq!(fine.iter().max(), Some(&at(20, 30)));
         // A kernel's centre is rounded to an eighth of a cell.
         assert!(at(18, 30).abs_diff(at(22, 30)) <= 2 && at(20, 28).abs_diff(at(20, 32)) <= 2);
         assert!(at(20, 30) > at(22, 30) && at(22, 30) > at(24, 30) && at(40, 30) == 0);
-        assert!(coarse[7 * 128 + 5] > 0);
     }
 
     #[test]
@@ -354,7 +321,7 @@ mod tests {
         let hit = tile(&[(30 * 512, [0, 128])]);
         let find = |at| (at == east).then_some(&hit);
         let (west, own) = (TileWeights::new(id(), find), TileWeights::new(east, find));
-        let (fine_west, fine) = (whole(&west).0, whole(&own).0);
+        let (fine_west, fine) = (fine(&west), fine(&own));
         let difference = i32::from(fine_west[30 * 512 + 511]) - i32::from(fine[30 * 512]);
         assert!(difference.abs() <= 2 && fine[30 * 512] > 0, "{difference}");
         assert_eq!((west.cells, own.cells), (0, 1));
@@ -367,7 +334,8 @@ mod tests {
         let hits = tile(&hits);
         let find = |at| (at == id()).then_some(&hits);
         let (exact, packed) = (TileWeights::new(id(), find), TileWeights::packed(id(), find));
-        assert!(packed.bytes() * 6 < exact.bytes(), "{} of {}", packed.bytes(), exact.bytes());
+        assert!(packed.bytes() < exact.bytes(), "{} of {}", packed.bytes(), exact.bytes());
+        assert!(packed.bytes() * 6 < CELLS_PER_TILE * CELLS_PER_TILE, "{}", packed.bytes());
         let along = |i: u32| id().origin().moved(f64::from(i % 60) * 0.09, f64::from(i / 60) * 0.17);
         let same = (0..12_000).filter(|i| exact.is_near(along(*i), 0.3) == packed.is_near(along(*i), 0.3));
         assert!(same.count() > 11_500);
