@@ -17,8 +17,7 @@ use echofix_core::vetting::{
 use super::write_buffer::{Folded, WriteBuffer};
 use crate::store::api::{Error, QuarantinedRecord, UploadRecord};
 
-/// Prepared tiles that are cached for the next upload, which likely comes from near by: a quarter of a
-/// megabyte each.
+/// Prepared tiles that are cached for the next upload, which likely comes from near by: some hundred kilobytes each.
 const PREPARED: usize = 256;
 
 /// What becomes of an upload.
