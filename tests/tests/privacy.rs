@@ -68,12 +68,15 @@ async fn nothing_but_the_journal_knows_who_drove_when() {
     }
     // One that is refused.
     let mut refused = uploads(&drive)[0].parts().to_vec();
-    headers.push(header(&refused));
     for part in &mut refused {
-        if let Some(Part::Evidence(evidence)) = &mut part.part {
-            evidence.sigma_position_m = 5.0;
+        match &mut part.part {
+            // What was counted is not looked at again.
+            Some(Part::Header(header)) => header.upload_id = Uuid::now_v7().to_string(),
+            Some(Part::Evidence(evidence)) => evidence.sigma_position_m = 5.0,
+            _ => {}
         }
     }
+    headers.push(header(&refused));
     send(&mut client, &refused).await.expect_err("it is refused");
     folded(&service).await;
     let revoked = serde_json::json!({ "contributor": CONTRIBUTOR });

@@ -39,7 +39,6 @@ pub const TABLE: &[(Call<'static>, Access)] = &[
     (Rpc("/echofix.v1.MappingService/Upload"), Least(Mapper)),
     // Load balancers have no identity.
     (Rpc("/grpc.health.v1.Health/Check"), Open),
-    (Rpc("/grpc.health.v1.Health/List"), Open),
     (Rpc("/grpc.health.v1.Health/Watch"), Open),
     // The contract is public; answering still costs something.
     (Rpc("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"), AnyRole),

@@ -47,7 +47,6 @@ const EXPECTED: &[(&str, &str, &str)] = &[
     ("", "/echofix.v1.MapService/GetCoverage", VEHICLES),
     ("", "/echofix.v1.MappingService/Upload", MAPPERS),
     ("", "/grpc.health.v1.Health/Check", ALL),
-    ("", "/grpc.health.v1.Health/List", ALL),
     ("", "/grpc.health.v1.Health/Watch", ALL),
     ("", "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", KNOWN),
     ("GET", "/healthz", ALL),

@@ -167,7 +167,8 @@ fn what_init_prints_works_from_upload_to_status() {
     assert_eq!(status["readiness"]["ready"], true);
     let history = ["--json", "map", "history", "--http", &site.http];
     assert!(run(&history, "operator").json()["events"][0]["uploads"].as_u64().unwrap() > 0);
-    assert!(run(&history, "vehicle").error().contains("viewer"));
+    let refused = run(&history, "vehicle");
+    assert!(refused.code == Some(1) && refused.stderr.contains("viewer"), "{refused:?}");
     let tiles = folder.path().join("tiles").display().to_string();
     let synced = run(&["tiles", "sync", &tiles, "--server", &site.grpc], "vehicle");
     assert_eq!(synced.code, Some(0), "{synced:?}");

@@ -17,6 +17,9 @@ const MAX_RECORD: u64 = 16 << 20;
 const HEAD: usize = 9;
 /// Channel, number and times of a message.
 const MESSAGE_HEAD: usize = 22;
+/// Logarithm of what zstd may look back on, bytes: what the format wants every reader to allow. A frame of some bytes can ask
+/// for 128 MB.
+const MAX_WINDOW_LOG: u32 = 23;
 /// The longest name of a way to pack.
 const MAX_NAME: u32 = 64;
 
@@ -183,7 +186,11 @@ impl ChunkHeader {
         let packed = from.take(self.packed);
         Ok(match self.packing.as_str() {
             "" => Box::new(packed),
-            "zstd" => Box::new(zstd::stream::read::Decoder::with_buffer(packed)?),
+            "zstd" => {
+                let mut contents = zstd::stream::read::Decoder::with_buffer(packed)?;
+                contents.window_log_max(MAX_WINDOW_LOG)?;
+                Box::new(contents)
+            }
             "lz4" => Box::new(lz4_flex::frame::FrameDecoder::new(packed)),
             other => {
                 let told = format!(
