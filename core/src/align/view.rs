@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::packed::{CELLS, SQUARE};
 use super::weights::{COARSE, KNOWN, TileWeights, mean};
 use crate::datum::{MapVariance, mean_offset};
-use crate::geo::{CELLS_PER_TILE, TileId};
+use crate::geo::TileId;
 use crate::point::MapPoint;
 use crate::pose::Pose2;
 use crate::window::MapSquare;

@@ -11,7 +11,7 @@ use super::smoothing::{self, CellMass, HALO};
 use crate::buckets::PointBuckets;
 use crate::datum::Datum;
 use crate::evidence::Cell;
-use crate::geo::{CELL_M, CELLS_PER_TILE, TILE_M, TileId};
+use crate::geo::{CELLS_PER_TILE, TILE_M, TileId};
 use crate::near::NearPoints;
 use crate::point::MapPoint;
 use crate::tile::Tile;

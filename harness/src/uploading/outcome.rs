@@ -66,13 +66,19 @@ pub struct UploadedDrive {
     pub findings: Vec<String>,
     /// Records that could not be used.
     pub flaws: DriveFlaws,
+    /// Ids of its uploads that were acknowledged.
+    #[serde(skip)]
+    pub(super) settled: HashSet<String>,
 }
 
 impl UploadedDrive {
     /// Counts what became of an upload; `own` are the ids of this drive's.
     pub(super) fn count(&mut self, event: UploadEvent, own: &HashSet<String>, bar: &ProgressBar) {
         match event {
+            // What lay in the spool and was recorded again meanwhile is sent twice, and is one upload.
+            UploadEvent::Acknowledged(answer) if self.settled.contains(&answer.upload_id) => {}
             UploadEvent::Acknowledged(answer) if own.contains(&answer.upload_id) => {
+                self.settled.insert(answer.upload_id);
                 self.uploads += 1;
                 self.duplicates += u64::from(answer.duplicate);
                 self.days_behind_map = self.days_behind_map.max(answer.days_behind_map);

@@ -84,6 +84,8 @@ pub struct Spool {
     dir: PathBuf,
     limits: SpoolLimits,
     state: Mutex<SpoolState>,
+    /// Held while a file comes or goes: an upload may be pushed again while the one of before is sent.
+    files: Mutex<()>,
     /// Held as long as the spool is open.
     _lock: File,
 }
@@ -121,7 +123,7 @@ impl Spool {
                 _ => {}
             }
         }
-        Ok(Self { dir, limits, state: Mutex::new(state), _lock: lock })
+        Ok(Self { dir, limits, state: Mutex::new(state), files: Mutex::default(), _lock: lock })
     }
 
     /// Takes an upload; once this returns, the upload survives a power cut.
@@ -133,6 +135,7 @@ impl Spool {
         let bytes = contents.len() as u64;
         self.reserve(upload.id(), bytes)?;
         let path = self.path_of(upload.id());
+        let _files = self.files();
         let written = disk::write_durably(&self.dir, &path, &contents);
         let mut state = self.state();
         match written {
@@ -161,6 +164,7 @@ impl Spool {
     /// When the file system refuses.
     pub fn read(&self, id: Uuid) -> Result<Option<PreparedUpload>, Error> {
         let path = self.path_of(id);
+        let _files = self.files();
         let contents = match file::read(&path) {
             Ok(Some(contents)) => contents,
             Ok(None) => {
@@ -190,6 +194,7 @@ impl Spool {
     /// When the file system refuses.
     pub fn remove(&self, id: Uuid) -> Result<(), Error> {
         let path = self.path_of(id);
+        let _files = self.files();
         self.forget(id);
         fs::remove_file(&path).map_err(|e| io_error(&path, e))
     }
@@ -199,6 +204,7 @@ impl Spool {
     /// # Errors
     /// When the file system refuses.
     pub fn refuse(&self, id: Uuid, reason: &str) -> Result<(), Error> {
+        let _files = self.files();
         self.set_aside(id, "refused", reason)
     }
 
@@ -230,6 +236,7 @@ impl Spool {
         Ok(())
     }
 
+    /// Its caller holds [`Spool::files`].
     fn set_aside(&self, id: Uuid, folder: &str, reason: &str) -> Result<(), Error> {
         self.forget(id);
         tracing::warn!(%id, folder, reason, "an upload is set aside");
@@ -250,6 +257,10 @@ impl Spool {
 
     fn path_of(&self, id: Uuid) -> PathBuf {
         self.dir.join(format!("{id}.{ENDING}"))
+    }
+
+    fn files(&self) -> MutexGuard<'_, ()> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn state(&self) -> MutexGuard<'_, SpoolState> {

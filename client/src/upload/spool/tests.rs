@@ -94,3 +94,22 @@ fn refused_uploads_are_kept_with_the_reason_within_a_bound() {
     let sizes = fs::read_dir(&refused).unwrap().map(|e| e.unwrap().metadata().unwrap().len());
     assert!(sizes.sum::<u64>() <= 3 * size);
 }
+
+/// Catches: a waiting upload without a file, or two that are counted as one, where one is pushed again while it is sent.
+#[test]
+fn what_is_pushed_while_it_is_sent_waits_whole_or_not_at_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let spool = Spool::open(dir.path(), SpoolLimits::default()).unwrap();
+    let again = upload(20);
+    let size = file::seal(&again.encode()).len() as u64;
+    std::thread::scope(|scope| {
+        let pushing = scope.spawn(|| (0..200).for_each(|_| spool.push(&again).unwrap()));
+        while !pushing.is_finished() {
+            if let Some(id) = spool.oldest(&HashSet::new()) {
+                assert!(spool.read(id).unwrap().is_some(), "it waits, and is not there");
+                spool.remove(id).unwrap();
+            }
+        }
+    });
+    assert_eq!(spool.bytes(), size * spool.len() as u64);
+}
