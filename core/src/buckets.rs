@@ -29,22 +29,22 @@ impl PointBuckets {
     pub fn new(tile: TileId, points: impl Iterator<Item = [f64; 2]> + Clone) -> Self {
         let position = |[x, y]: [f64; 2]| tile.origin().moved(x * CELL_M, y * CELL_M);
         let origin = points.clone().next().map(position).unwrap_or_default();
-        let around = -(AROUND as f64) * BUCKET_M;
-        let corner = tile.origin().moved(around, around);
+        let around = AROUND as f64 * BUCKET_M;
+        let corner = tile.origin().moved(-around, -around);
         let mut starts = vec![0_u32; SIDE * SIDE + 1];
-        let bucket = |at: MapPoint| row_of(at.y_m - corner.y_m) * SIDE + row_of(at.x_m - corner.x_m);
-        for point in points.clone() {
-            starts[bucket(position(point)) + 1] += 1;
+        let row = |cells: f64| row_of(cells * CELL_M + around);
+        let buckets: Vec<usize> = points.clone().map(|[x, y]| row(y) * SIDE + row(x)).collect();
+        for bucket in &buckets {
+            starts[bucket + 1] += 1;
         }
         for i in 1..starts.len() {
             starts[i] += starts[i - 1];
         }
         let mut next = starts.clone();
         let mut sorted = vec![[0.0; 2]; starts[SIDE * SIDE] as usize];
-        for point in points {
-            let at = position(point);
-            let slot = &mut next[bucket(at)];
-            sorted[*slot as usize] = relative(at, origin);
+        for (point, bucket) in points.zip(buckets) {
+            let slot = &mut next[bucket];
+            sorted[*slot as usize] = relative(position(point), origin);
             *slot += 1;
         }
         Self { corner, origin, starts: starts.into_boxed_slice(), points: sorted.into_boxed_slice() }

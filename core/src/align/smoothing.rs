@@ -127,7 +127,7 @@ fn weigh_block(sums: &mut [f32], weights: &mut [u8], block: usize) {
         // The margin has sums and no weights.
         let within = (block * BLOCK).checked_sub(MARGIN).and_then(|column| weights.get_mut(column..));
         if let Some(weights) = within.and_then(|weights| weights.first_chunk_mut::<BLOCK>()) {
-            *weights = sums.map(byte);
+            weights.iter_mut().zip(&*sums).for_each(|(weight, sum)| *weight = byte(*sum));
         }
         *sums = [0.0; BLOCK];
     }
