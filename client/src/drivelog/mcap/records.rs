@@ -117,6 +117,38 @@ fn one(from: &mut impl Read, opcode: u8, length: u64, records: &mut impl Records
     }
 }
 
+/// Do the lengths in a schema, channel or metadata record lie within it? The library makes room for what they say before it
+/// looks.
+pub(super) fn lengths_hold(opcode: u8, data: &[u8]) -> bool {
+    // Numbers of fixed size, then texts and maps, each behind its length in bytes.
+    let (fixed, parts) = match opcode {
+        op::SCHEMA => (2, 3),
+        op::CHANNEL => (4, 3),
+        _ => (0, 2),
+    };
+    let Some(mut rest) = data.get(fixed..) else { return false };
+    let mut last = rest;
+    for _ in 0..parts {
+        let Some((part, after)) = lengthy(rest) else { return false };
+        (last, rest) = (part, after);
+    }
+    if opcode == op::SCHEMA {
+        return true;
+    }
+    // The last one is a map: texts, two and two.
+    while !last.is_empty() {
+        let Some((_, after)) = lengthy(last) else { return false };
+        last = after;
+    }
+    true
+}
+
+/// What stands behind its length, and what comes after it.
+fn lengthy(data: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = data.split_first_chunk()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
 fn hold(from: &mut impl Read, length: u64) -> io::Result<Vec<u8>> {
     let mut data = Vec::new();
     from.take(length).read_to_end(&mut data)?;
