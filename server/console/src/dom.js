@@ -23,6 +23,13 @@ export function numbers(list, rows) {
   );
 }
 
+/** Replaces a list's rows and keeps the keyboard where it was. */
+export function fill(list, rows) {
+  const focused = [...list.querySelectorAll('button')].indexOf(document.activeElement);
+  list.replaceChildren(...rows);
+  if (focused >= 0) list.querySelectorAll('button')[focused]?.focus();
+}
+
 export const calm = matchMedia('(prefers-reduced-motion: reduce)');
 
 /** Calls `work` once per `wait_ms` at most, after the first call of a burst. */

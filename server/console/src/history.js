@@ -1,6 +1,6 @@
 // What happened to the map, and what was decided about it.
 
-import { byId, el } from './dom.js';
+import { byId, el, fill } from './dom.js';
 import { deciding } from './decide.js';
 import { count } from './format.js';
 
@@ -41,5 +41,5 @@ export function showHistory({ events }, { look, rollback, undo }) {
         deciding('Roll back to here', `Roll back to here, epoch ${event.last}`, () => rollback(event))));
   };
   const none = el('li', { className: 'none', textContent: 'Nothing has happened yet.' });
-  byId('history').replaceChildren(...(events.length ? events.map(row) : [none]));
+  fill(byId('history'), events.length ? events.map(row) : [none]);
 }

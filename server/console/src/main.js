@@ -8,7 +8,7 @@ import { addFixes, drawFixes, fixDetails, outline, tileDetails } from './fixes.j
 import { decide } from './decide.js';
 import { showHistory } from './history.js';
 import { LAYERS, addRadar, createMap, forgetBadView, frame, refresh, showEpoch, showLayer } from './map.js';
-import { showFixes, showHealth, showProgress, showStale, showStream, showTotals, showUploads } from './panel.js';
+import { showAges, showFixes, showHealth, showProgress, showRates, showStale, showStream, showTotals, showUploads } from './panel.js';
 import { addDifference, drawDifference, timeControls } from './past.js';
 import { addQuarantine, drawQuarantine, showQuarantine } from './quarantine.js';
 import { meant } from './search.js';
@@ -23,7 +23,7 @@ const framed = location.hash.includes('view=');
 const map = createMap();
 const state = {
   fixes: [], uploads: [], kept: [], quarantine: { quarantined: 0, uploads: [], alarms: [] }, history: { events: [] },
-  layer: 'evidence', epoch: undefined, seen: undefined, framed, filter: '', whole: undefined,
+  told: undefined, layer: 'evidence', epoch: undefined, seen: undefined, framed, filter: '', whole: undefined,
 };
 
 // What is shown: the layer, its legend, the numbers.
@@ -69,7 +69,10 @@ async function loadFeeds() {
 
 async function loadDecisions() {
   const [quarantine, past] = await Promise.all([ask('/api/v1/map/quarantine'), ask('/api/v1/map/history?limit=100')]);
-  Object.assign(state, { quarantine, history: past });
+  // What says the same is left as it is: somebody may be about to press one of its buttons.
+  const told = JSON.stringify([quarantine, past]);
+  if (told === state.told) return;
+  Object.assign(state, { quarantine, history: past, told });
   showQuarantine(quarantine, { go: goTo, revoke });
   showHistory(past, { look, rollback, undo });
   time.range(past);
@@ -163,10 +166,15 @@ function quietly(work) {
     say(error.message);
   });
 }
+function grow() {
+  showRates(state.fixes);
+  showAges();
+  drawFixes(map, state.fixes);
+}
 const redraw = gathered(() => {
   showFixes(state.fixes, choose);
   showUploads(state.uploads, state.filter, openUpload);
-  drawFixes(map, state.fixes);
+  grow();
 }, 120);
 const newMap = gathered(quietly(async () => {
   await Promise.all([loadMap(), loadDecisions()]);
@@ -244,7 +252,7 @@ map.once('load', () => {
   map.on('mouseleave', 'fix', () => (map.getCanvas().style.cursor = ''));
   redraw();
   // Fixes fade and ages grow also when nothing happens.
-  setInterval(() => document.hidden || redraw(), 1000);
+  setInterval(() => document.hidden || grow(), 1000);
 });
 
 /** An upload, with what vetting said of it. */
@@ -302,7 +310,7 @@ byId('fold').addEventListener('click', ({ currentTarget }) => {
 addSignIn();
 byId('filter').addEventListener('change', ({ currentTarget }) => {
   state.filter = currentTarget.value;
-  redraw();
+  showUploads(state.uploads, state.filter, openUpload);
 });
 byId('search').addEventListener('submit', (event) => {
   event.preventDefault();

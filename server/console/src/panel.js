@@ -1,6 +1,6 @@
 // The side panel: the service in numbers.
 
-import { NONE, byId, el, numbers } from './dom.js';
+import { NONE, byId, el, fill, numbers } from './dom.js';
 import { ago, count, figure, percent, quantile, size, words } from './format.js';
 import { families, familyOf } from './verdicts.js';
 
@@ -59,8 +59,8 @@ function chip(element, text, tone) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** `fixes` newest first; `choose` is called with a fix. */
-export function showFixes(fixes, choose) {
+/** What the last fixes amount to, newest first. */
+export function showRates(fixes) {
   const recent = fixes.slice(0, RECENT);
   const minute_ago = (Date.now() - 60_000) * 1000;
   const rate = fixes.filter((fix) => fix.answered_us > minute_ago).length;
@@ -77,6 +77,10 @@ export function showFixes(fixes, choose) {
   byId('fixes-note').textContent = recent.length ? `medians of the last ${recent.length}` : 'none yet';
   strip(byId('strip'), recent);
   key(recent);
+}
+
+/** `fixes` newest first; `choose` is called with a fix. */
+export function showFixes(fixes, choose) {
   const row = (fix) => {
     const family = familyOf(fix.status);
     const dot = el('i', { className: 'dot' });
@@ -87,10 +91,18 @@ export function showFixes(fixes, choose) {
       el('span', { textContent: `${figure(fix.correction_m)} m` }),
       el('span', { textContent: percent(fix.matched_fraction) }),
       el('span', { textContent: `${fix.align_ms.toFixed(0)} ms` }),
-      el('time', { textContent: ago(fix.answered_us) }),
+      since(fix.answered_us),
     ));
   };
   fill(byId('fixes'), fixes.slice(0, SHOWN_FIXES).map(row));
+}
+
+/** How long ago something was, which grows. */
+const since = (us) => el('time', { textContent: ago(us), data: { us } });
+
+/** Lets all of these grow, and leaves their rows as they are: somebody may be pressing one. */
+export function showAges() {
+  for (const time of document.querySelectorAll('time[data-us]')) time.textContent = ago(Number(time.dataset.us));
 }
 
 /** The verdicts as a strip of bars: the colour is the verdict, the height the matched fraction. */
@@ -135,7 +147,7 @@ export function showUploads(all, filter, choose) {
         el('b', { textContent: words(upload.outcome) }),
         el('span', { textContent: upload.kept ? whyKept(upload.kept) : upload.detections_counted ? `${count(upload.detections_counted)} det` : '' }),
         el('span', { textContent: upload.epoch ? `epoch ${upload.epoch}` : '' }),
-        el('time', { textContent: ago(upload.answered_us) }),
+        since(upload.answered_us),
       ),
     );
   const none = el('li', { className: 'none', textContent: filter ? 'None of these since the service started.' : 'None since the service started.' });
@@ -144,10 +156,3 @@ export function showUploads(all, filter, choose) {
 
 const whyKept = ({ reason, offset_m }) =>
   offset_m == null ? words(reason) : `${words(reason)} by ${offset_m.toFixed(1)} m`;
-
-/** Replaces a list's rows and keeps the keyboard where it was. */
-function fill(list, rows) {
-  const focused = [...list.querySelectorAll('button')].indexOf(document.activeElement);
-  list.replaceChildren(...rows);
-  if (focused >= 0) list.querySelectorAll('button')[focused]?.focus();
-}

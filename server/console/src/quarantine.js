@@ -1,6 +1,6 @@
 // What vetting kept out of the map, and what several contributors agree on: a list, and arrows on the map.
 
-import { byId, el } from './dom.js';
+import { byId, el, fill } from './dom.js';
 import { deciding } from './decide.js';
 import { words } from './format.js';
 
@@ -79,6 +79,6 @@ export function showQuarantine({ quarantined, uploads, alarms }, { go, revoke })
           revoke({ contributor_hash: of.contributor }, `Revoke all uploads so far of contributor ${of.contributor}?`))));
   const none = el('li', { className: 'none', textContent: 'Nothing is in quarantine.' });
   const rows = [...alarms.map(alarm), ...uploads.slice(0, 100).map(one)];
-  byId('quarantine').replaceChildren(...(rows.length ? rows : [none]));
+  fill(byId('quarantine'), rows.length ? rows : [none]);
   byId('quarantine-note').textContent = uploads.length > 100 ? `the newest 100 of ${quarantined}` : '';
 }
