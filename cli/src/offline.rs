@@ -16,7 +16,7 @@ use echofix_server::args::ServeArgs;
 use echofix_server::grpc::LocalizationApi;
 use echofix_server::locating::Locator;
 use echofix_server::store::{
-    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord,
+    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld,
 };
 use tokio::sync::watch;
 
@@ -80,6 +80,16 @@ impl MapStore for CachedMap {
             info.id.zone == zone && info.cells > 0 && x.contains(&info.id.x) && y.contains(&info.id.y)
         };
         Ok(self.infos.iter().filter(inside).copied().collect())
+    }
+
+    fn withheld(
+        &self,
+        _: Zone,
+        _: RangeInclusive<i32>,
+        _: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        // What a service withholds it does not send.
+        Ok(None)
     }
 
     fn zones(&self) -> Vec<Zone> {

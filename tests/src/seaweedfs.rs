@@ -4,6 +4,7 @@ use std::fs::File;
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
 
 use tempfile::TempDir;
@@ -64,7 +65,8 @@ impl SeaweedFs {
         let bucket = format!("http://127.0.0.1:{}/buckets/maps/", self.port + 3);
         let s3 = format!("127.0.0.1:{}", self.port);
         until_blocking("the object store is ready", READY_WITHIN, || {
-            let made = ureq::post(&bucket).send_empty().is_ok();
+            // It is there already where only the other port was late, or the store was started again.
+            let made = matches!(ureq::post(&bucket).send_empty(), Ok(_) | Err(ureq::Error::StatusCode(409)));
             (made && std::net::TcpStream::connect(&s3).is_ok()).then_some(())
         });
     }
@@ -93,10 +95,13 @@ fn launch(folder: &TempDir, port: u16) -> Child {
     run.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).spawn().expect("bash can be run")
 }
 
-/// The first of five ports that are free, as those 10000 above them are.
+/// The first of five ports that are free, as those 10000 above them are. Another test of this process gets others, though none
+/// is taken yet.
 fn free_ports() -> u16 {
+    static STARTED: AtomicU16 = AtomicU16::new(0);
     let free = |port: u16| TcpListener::bind(("127.0.0.1", port)).is_ok();
-    let begin = 20_000 + (std::process::id() % 500) as u16 * 10;
+    let started = STARTED.fetch_add(1, Ordering::Relaxed);
+    let begin = 20_000 + (std::process::id() % 400) as u16 * 10 + started * 1000;
     let mut candidates = (begin..29_000).chain(20_000..begin).step_by(10);
     let found = candidates.find(|port| (*port..port + 5).all(|port| free(port) && free(port + 10_000)));
     found.expect("some ports are free")

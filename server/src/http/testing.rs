@@ -29,7 +29,7 @@ use crate::store::testing::some_uploads;
 use crate::store::{
     EmbeddedStore, Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options,
     Policy, Preview, Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo,
-    Totals, UploadRecord, Verified,
+    Totals, UploadRecord, Verified, Withheld,
 };
 
 /// 2024-10-04
@@ -41,14 +41,7 @@ pub fn austin() -> TileId {
 }
 
 fn serving(epoch: u64) -> MapProgress {
-    MapProgress {
-        state: MapStatus::Serving,
-        epoch,
-        journaled: epoch,
-        building: None,
-        stopped: false,
-        refusing: false,
-    }
+    MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, ..MapProgress::default() }
 }
 
 /// A map in memory that is only read.
@@ -165,6 +158,15 @@ impl MapStore for FakeStore {
         Ok(self.infos().into_iter().filter(inside).collect())
     }
 
+    fn withheld(
+        &self,
+        _: Zone,
+        _: RangeInclusive<i32>,
+        _: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        Ok(None)
+    }
+
     fn zones(&self) -> Vec<Zone> {
         let mut zones: Vec<_> = self.infos().iter().map(|t| t.id.zone).collect();
         zones.dedup();
@@ -188,6 +190,8 @@ impl MapStore for FakeStore {
 }
 
 impl Operations for FakeStore {
+    fn wind_down(&self) {}
+
     fn kept_out(&self) -> tokio::sync::broadcast::Receiver<QuarantinedRecord> {
         tokio::sync::broadcast::Sender::new(1).subscribe()
     }

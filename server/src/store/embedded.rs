@@ -84,7 +84,7 @@ impl EmbeddedStore {
     }
 
     fn append(&self, meta: RecordMeta, fresh: bool, payload: Vec<u8>) -> Result<Sequenced, Error> {
-        let submitted = self.shared.journal.submit(vec![NewRecord { meta, fresh, payload }]);
+        let submitted = self.shared.journal.submit(vec![NewRecord { meta, fresh, payload, number: None }]);
         let written = submitted.inspect_err(|error| self.shared.note_stop(error))?;
         written.first().copied().ok_or_else(|| Error::Stopped("a record was lost on its way".to_owned()))
     }

@@ -58,12 +58,10 @@ pub trait MapStore: Send + Sync {
     /// When the disk refuses, a tile is damaged, or the map is being rebuilt.
     fn withheld(
         &self,
-        _zone: Zone,
-        _x: RangeInclusive<i32>,
-        _y: RangeInclusive<i32>,
-    ) -> Result<Option<Withheld>, Error> {
-        Ok(None)
-    }
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error>;
 
     /// The zones that hold any tile.
     fn zones(&self) -> Vec<Zone>;

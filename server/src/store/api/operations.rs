@@ -97,7 +97,7 @@ pub trait Operations: Send + Sync {
 
     /// Ends what goes on behind the calls: folding, and looks at the past. What is journaled and not folded is folded at the next
     /// start; uploads are still journaled, and the map is still read. Does not wait.
-    fn wind_down(&self) {}
+    fn wind_down(&self);
 
     /// Takes back all that a contributor has uploaded so far, by its pseudonym.
     ///

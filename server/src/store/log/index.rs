@@ -203,11 +203,13 @@ impl JournalIndex {
         state.excluded_by(&in_effect(&state.controls, up_to_control))
     }
 
-    /// Does a control after a number exclude anything, and is it in effect?
-    pub(in crate::store) fn excluded_after(&self, number: u64) -> bool {
-        let excludes = |action: Action| !matches!(action, Action::Compact(_) | Action::Undo(_));
-        let controls = in_effect(&self.lock().controls, u64::MAX);
-        controls.into_iter().any(|(at, action)| at > number && excludes(action))
+    /// Is anything up to a number excluded now that was not when it was the newest?
+    pub(in crate::store) fn excluded_since(&self, number: u64) -> bool {
+        let state = self.lock();
+        let by = |up_to| state.excluded_by(&in_effect(&state.controls, up_to));
+        let (then, now) = (by(number), by(u64::MAX));
+        let mut records = state.kinds().take_while(|(at, _)| *at <= number);
+        records.any(|(at, kind)| now.excludes(at, kind) && !then.excludes(at, kind))
     }
 
     /// What all controls and one more, which is only thought of, exclude.

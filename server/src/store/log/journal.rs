@@ -135,25 +135,6 @@ impl Journal {
         Ok(Self { segments, sender, writer, sequencer: OnceLock::new() })
     }
 
-    /// Writes a record and returns once it is on disk. No segment holds records of two days, so that
-    /// whole segments grow old; a record may also ask for a `fresh` one.
-    ///
-    /// # Errors
-    /// When that is not certain.
-    pub(in crate::store) fn append(
-        &self,
-        meta: RecordMeta,
-        fresh: bool,
-        payload: Vec<u8>,
-    ) -> Result<Written, Error> {
-        let outcome = self.send(meta, fresh, payload)?;
-        if fault() == Some(Fault::AckBeforeWrite) {
-            let nowhere = RecordPosition { segment: 0, offset: 0, length: 0 };
-            return Ok(Written { number: 0, at: nowhere });
-        }
-        outcome.recv().map_err(|_| gone())?
-    }
-
     /// From now on a sequencer gives [submitted](Self::submit) records their numbers.
     pub(in crate::store) fn follow(&self, sequencer: Box<dyn Sequencer>) {
         // There is one for as long as the journal is open.
@@ -164,16 +145,11 @@ impl Journal {
     ///
     /// # Errors
     /// When it is not certain that all of them are in it.
-    pub(in crate::store) fn submit(&self, mut records: Vec<NewRecord>) -> Result<Vec<Sequenced>, Error> {
+    pub(in crate::store) fn submit(&self, records: Vec<NewRecord>) -> Result<Vec<Sequenced>, Error> {
         if let Some(sequencer) = self.sequencer.get() {
             return sequencer.sequence(records);
         }
-        let written = match records.pop() {
-            Some(NewRecord { meta, fresh, payload }) if records.is_empty() => {
-                vec![self.append(meta, fresh, payload)?]
-            }
-            last => self.append_all(records.into_iter().chain(last).collect())?,
-        };
+        let written = self.append_all(records)?;
         Ok(written.into_iter().map(|written| Sequenced { written, known: false }).collect())
     }
 
@@ -182,23 +158,22 @@ impl Journal {
     /// # Errors
     /// When that is not certain for any of them.
     pub(in crate::store) fn append_all(&self, records: Vec<NewRecord>) -> Result<Vec<Written>, Error> {
-        let sent =
-            records.into_iter().map(|NewRecord { meta, fresh, payload }| self.send(meta, fresh, payload));
+        let sent = records.into_iter().map(|record| self.send(record));
         let outcomes = sent.collect::<Result<Vec<_>, _>>()?;
+        if fault() == Some(Fault::AckBeforeWrite) {
+            let nowhere = RecordPosition { segment: 0, offset: 0, length: 0 };
+            return Ok(outcomes.iter().map(|_| Written { number: 0, at: nowhere }).collect());
+        }
         outcomes.into_iter().map(|outcome| outcome.recv().map_err(|_| gone())?).collect()
     }
 
-    fn send(
-        &self,
-        meta: RecordMeta,
-        fresh: bool,
-        payload: Vec<u8>,
-    ) -> Result<Receiver<Result<Written, Error>>, Error> {
+    fn send(&self, record: NewRecord) -> Result<Receiver<Result<Written, Error>>, Error> {
+        let NewRecord { meta, fresh, payload, number } = record;
         let (done, outcome) = mpsc::sync_channel(1);
         let sender = self.sender.as_ref().ok_or_else(gone)?;
         let sender = sender.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let span = Span::current();
-        sender.send(Append { meta, fresh, payload, span, done }).map_err(|_| gone())?;
+        sender.send(Append { meta, fresh, payload, number, span, done }).map_err(|_| gone())?;
         Ok(outcome)
     }
 

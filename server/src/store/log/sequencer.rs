@@ -11,6 +11,8 @@ pub(in crate::store) struct NewRecord {
     /// Begins a segment of its own.
     pub(in crate::store) fresh: bool,
     pub(in crate::store) payload: Vec<u8>,
+    /// The number that it has elsewhere, and must get here; any, where it is new everywhere.
+    pub(in crate::store) number: Option<u64>,
 }
 
 /// A record that is in the journal.

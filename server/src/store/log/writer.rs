@@ -22,6 +22,8 @@ pub(in crate::store) struct Append {
     /// Begins a segment of its own.
     pub(in crate::store) fresh: bool,
     pub(in crate::store) payload: Vec<u8>,
+    /// See [`NewRecord::number`](super::sequencer::NewRecord::number).
+    pub(in crate::store) number: Option<u64>,
     /// The span of the caller, for what is logged about its record.
     pub(super) span: Span,
     /// Where the caller waits for the outcome.
@@ -162,6 +164,9 @@ impl JournalWriter {
         }
         let written = match &self.stopped {
             Some(reason) => Err(WriteFailure::Fenced(reason.clone())),
+            None if self.misses(&group) => {
+                Err(WriteFailure::Refused(io::Error::other("the record before it is not written")))
+            }
             None => self.segment_for(&group[0]).and_then(|segment| self.write(segment, &group)),
         };
         match written {
@@ -176,6 +181,11 @@ impl JournalWriter {
             }
             Err(failure) => self.refuse(group, &failure),
         }
+    }
+
+    /// Would a record of a group get another number than the one that it has elsewhere?
+    fn misses(&self, group: &[Append]) -> bool {
+        group.iter().zip(self.next..).any(|(append, next)| append.number.is_some_and(|number| number != next))
     }
 
     fn refuse(&mut self, group: Vec<Append>, failure: &WriteFailure) {

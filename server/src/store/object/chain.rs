@@ -61,7 +61,6 @@ impl Chain {
                 self.newest = self.sound(epoch, &bytes)?;
                 Ok(false)
             }
-            Put::Vanished => Err(self.damaged(epoch, "it was deleted. Manifests must stay")),
         }
     }
 

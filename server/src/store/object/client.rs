@@ -32,8 +32,6 @@ pub(in crate::store) enum Put {
     Ours,
     /// Another one has it: its bytes.
     Theirs(Vec<u8>),
-    /// The name was taken, and then it was free: what had it was deleted.
-    Vanished,
 }
 
 /// A bucket that is asked again. Every call may wait for as long as its patience: keep it off the async threads.
@@ -72,7 +70,10 @@ impl Client {
             match self.get(name)? {
                 Some(found) if found == body => return Ok(Put::Ours),
                 Some(found) => return Ok(Put::Theirs(found)),
-                None if taken => return Ok(Put::Vanished),
+                // Somebody else is at it, or it was collected: then the name is free.
+                None if taken => {
+                    tries.again(&Failure::Unknown("the name is taken, and nothing is there".to_owned()))?;
+                }
                 None => {}
             }
         }

@@ -53,8 +53,20 @@ impl Cluster {
         let cluster = Self { journal, shards: 1, region_tiles: REGION_TILES, lineage };
         let json = serde_json::to_vec(&cluster).expect("it has no map and no number that JSON lacks");
         let found = said(client, CLUSTER, &body::wrap(MAGIC, &json))?;
+        Ok((Self::decoded(client, &found)?, key))
+    }
+
+    /// The cluster of a bucket, if there is one.
+    ///
+    /// # Errors
+    /// When the store does not answer, or what it holds is damaged, or of another version.
+    pub(in crate::store) fn found(client: &Client) -> Result<Option<Self>, Error> {
+        client.get(CLUSTER)?.map(|bytes| Self::decoded(client, &bytes)).transpose()
+    }
+
+    fn decoded(client: &Client, bytes: &[u8]) -> Result<Self, Error> {
         let cluster: Option<Self> =
-            body::unwrap(MAGIC, &found).and_then(|json| serde_json::from_slice(json).ok());
+            body::unwrap(MAGIC, bytes).and_then(|json| serde_json::from_slice(json).ok());
         let cluster = cluster.ok_or_else(|| damaged(client, CLUSTER))?;
         if (cluster.shards, cluster.region_tiles) != (1, REGION_TILES) {
             return Err(Error::Unusable(format!(
@@ -64,20 +76,7 @@ impl Cluster {
                 cluster.region_tiles
             )));
         }
-        Ok((cluster, key))
-    }
-}
-
-impl Cluster {
-    /// The cluster of a bucket, if there is one.
-    ///
-    /// # Errors
-    /// When the store does not answer, or what it holds is damaged.
-    pub(in crate::store) fn found(client: &Client) -> Result<Option<Self>, Error> {
-        let Some(bytes) = client.get(CLUSTER)? else { return Ok(None) };
-        let json = body::unwrap(MAGIC, &bytes);
-        let cluster = json.and_then(|json| serde_json::from_slice(json).ok());
-        cluster.map(Some).ok_or_else(|| damaged(client, CLUSTER))
+        Ok(cluster)
     }
 }
 
@@ -89,7 +88,6 @@ fn said(client: &Client, name: &str, ours: &[u8]) -> Result<Vec<u8>, Error> {
     match client.put_new(name, ours)? {
         Put::Ours => Ok(ours.to_vec()),
         Put::Theirs(found) => Ok(found),
-        Put::Vanished => Err(Error::Unusable(format!("{} was deleted meanwhile", client.locate(name)))),
     }
 }
 

@@ -209,7 +209,6 @@ impl SharedLog {
         let body = segment::encode(self.cluster, self.writer, (seq, number), &records);
         match self.client.put_new(&self.shard.segment(seq), &body)? {
             Put::Theirs(_) => Ok(if self.is_passed()? { Appended::Passed } else { Appended::Behind }),
-            Put::Vanished => Ok(Appended::Passed),
             Put::Ours if self.is_void()? => Ok(Appended::Passed),
             Put::Ours => Ok(Appended::Written(SegmentRecords { first: number, records })),
         }

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use echofix_core::geo::{TileId, Zone};
 use tokio::sync::watch;
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord,
+    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld,
 };
-use crate::store::log::entry::RecordKind;
 use crate::store::map::catalog::Catalog;
 use crate::store::map::context::StoreContext;
 use crate::store::operations::history;
@@ -43,19 +43,10 @@ pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<A
             tiles.insert(id, stored);
         }
     }
-    let mut uploads = 0;
-    shared.index.visit(|number, _, kind| {
-        let is_upload = matches!(kind, RecordKind::Upload { .. });
-        uploads += u64::from(is_upload && number <= epoch);
-    });
-    let progress = watch::Sender::new(MapProgress {
-        state: MapStatus::Serving,
-        epoch,
-        journaled: epoch,
-        building: None,
-        stopped: false,
-        refusing: false,
-    });
+    let compacted = shared.compacted_uploads.load(Ordering::Relaxed);
+    let uploads = compacted + shared.index.uploads_within(0, epoch);
+    let served = MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, ..MapProgress::default() };
+    let progress = watch::Sender::new(served);
     Ok(Arc::new(PastMap { lineage: shared.lineage, tiles, catalog, uploads, progress }))
 }
 
@@ -90,6 +81,15 @@ impl MapStore for PastMap {
         let mut found = self.catalog.block(zone, &x, &y);
         found.retain(|info| info.cells > 0);
         Ok(found)
+    }
+
+    fn withheld(
+        &self,
+        _: Zone,
+        _: RangeInclusive<i32>,
+        _: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        Ok(None)
     }
 
     fn zones(&self) -> Vec<Zone> {

@@ -51,7 +51,7 @@ fn history(shared: &StoreContext) -> [u8; 6] {
 fn holds_all_of(shared: &StoreContext, header: &Header) -> bool {
     header.file.into_bytes()[WHOSE] == history(shared)
         && header.epoch <= shared.index.newest()
-        && !shared.index.excluded_after(header.epoch)
+        && !shared.index.excluded_since(header.epoch)
 }
 
 pub(in crate::store) fn export(
@@ -104,7 +104,7 @@ pub(in crate::store) fn import(shared: &StoreContext, file: &mut dyn Read) -> Re
             return Ok(());
         }
         let (meta, payload) = entry::import(shared.settings.clock.today(), file, id, &encoded);
-        group.push(NewRecord { meta, fresh: false, payload });
+        group.push(NewRecord { meta, fresh: false, payload, number: None });
         if group.len() == GROUP { write(&mut group) } else { Ok(()) }
     })?;
     write(&mut group)?;

@@ -90,7 +90,8 @@ pub(super) fn write(journal: &Journal, segment: &SegmentRecords, end: u64) -> Re
     let missing = (segment.first..).zip(&segment.records).filter(|(number, _)| *number > end);
     let new = missing.map(|(number, payload)| {
         let meta = entry::meta(payload).ok_or_else(|| unreadable(number))?;
-        Ok(NewRecord { fresh: meta.begins_segment(), meta, payload: payload.clone() })
+        let payload = payload.clone();
+        Ok(NewRecord { fresh: meta.begins_segment(), meta, payload, number: Some(number) })
     });
     let new = new.collect::<Result<Vec<_>, Error>>()?;
     let Some(written) = journal.append_all(new)?.pop() else { return Ok(end) };

@@ -30,7 +30,8 @@ use uuid::Uuid;
 
 use crate::store::api::{
     Error, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preview, Proposal, QuarantinedRecord,
-    Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, io_error,
+    Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, Withheld,
+    io_error,
 };
 use crate::store::embedded::EmbeddedStore;
 use crate::store::local;
@@ -154,6 +155,15 @@ impl MapStore for ReplicatedStore {
         self.copy.catalog(zone, x, y)
     }
 
+    fn withheld(
+        &self,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
+    ) -> Result<Option<Withheld>, Error> {
+        self.copy.withheld(zone, x, y)
+    }
+
     fn zones(&self) -> Vec<Zone> {
         self.copy.zones()
     }
@@ -224,5 +234,9 @@ impl Operations for ReplicatedStore {
 
     fn verify(&self, replay: bool) -> Result<Verified, Error> {
         self.copy.verify(replay)
+    }
+
+    fn wind_down(&self) {
+        self.copy.wind_down();
     }
 }

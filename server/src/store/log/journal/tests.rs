@@ -34,7 +34,12 @@ fn bytes_of(disk: &Memory, first: u64) -> Vec<u8> {
 }
 
 fn append(journal: &Journal, payload: &[u8]) -> Written {
-    journal.append(meta(1), false, payload.to_vec()).unwrap()
+    append_on(journal, 1, false, payload)
+}
+
+fn append_on(journal: &Journal, day: u16, fresh: bool, payload: &[u8]) -> Written {
+    let record = NewRecord { meta: meta(day), fresh, payload: payload.to_vec(), number: None };
+    journal.append_all(vec![record]).unwrap()[0]
 }
 
 fn meta(day: u16) -> RecordMeta {
@@ -46,9 +51,9 @@ fn days_and_fresh_records_begin_segments_and_covered_ones_are_deleted() {
     let disk = Memory::default();
     let (journal, _) = open(&disk, 1 << 20).unwrap();
     for day in [7, 7, 8, 8, 8, 7] {
-        journal.append(meta(day), false, vec![1]).unwrap();
+        append_on(&journal, day, false, &[1]);
     }
-    journal.append(meta(7), true, vec![1]).unwrap();
+    append_on(&journal, 7, true, &[1]);
     assert_eq!(firsts(&disk), [1, 3, 6, 7]);
     journal.delete_up_to(4).unwrap();
     assert_eq!(firsts(&disk), [3, 6, 7], "a segment goes when all of it is covered");

@@ -104,10 +104,14 @@ impl Faulty {
 }
 
 fn append(writer: &mut JournalWriter, payload: &[u8]) -> Result<Written, Error> {
+    append_as(writer, None, payload)
+}
+
+fn append_as(writer: &mut JournalWriter, number: Option<u64>, payload: &[u8]) -> Result<Written, Error> {
     let (done, outcome) = mpsc::sync_channel(1);
     let meta = RecordMeta { day: 1, what: RecordSubject::Upload { id: Uuid::nil(), contributor: 1 } };
     let payload = payload.to_vec();
-    writer.commit(vec![Append { meta, fresh: false, payload, span: Span::none(), done }]);
+    writer.commit(vec![Append { meta, fresh: false, payload, number, span: Span::none(), done }]);
     outcome.recv().unwrap()
 }
 
@@ -164,4 +168,20 @@ fn who_lost_the_directory_acknowledges_nothing() {
     disk.set(|disk| _ = disk.segments.insert(2, second));
     assert!(matches!(append(&mut writer, b"three"), Err(Error::Stopped(_))), "for good");
     assert_eq!(disk.recovered(), [(1, b"one".to_vec()), (2, b"theirs".to_vec())]);
+}
+
+/// Catches: a copy of a shared journal in which, after its disk refused a record and took the next one, all have numbers of
+/// others.
+#[test]
+fn a_record_that_has_a_number_elsewhere_gets_no_other_one() {
+    let disk = Faulty::default();
+    let mut writer = disk.writer();
+    assert_eq!(append_as(&mut writer, Some(1), b"one").unwrap().number, 1);
+    disk.set(|disk| disk.append_fails = true);
+    append_as(&mut writer, Some(2), b"two").unwrap_err();
+    disk.set(|disk| disk.append_fails = false);
+    append_as(&mut writer, Some(3), b"three").unwrap_err();
+    for (number, payload) in [(2, b"two".as_slice()), (3, b"three")] {
+        assert_eq!(append_as(&mut writer, Some(number), payload).unwrap().number, number);
+    }
 }
