@@ -1,77 +1,38 @@
 //! Who calls, and whether they may. The caller goes with the request to its handler.
 
-use std::future::{Future, ready};
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::http::{Extensions, Request, Response};
-use tonic::body::Body;
+use axum::http::{Extensions, Request};
 use tonic::{Code, Status};
-use tower::{Layer, Service};
 
+use super::heads::Look;
 use super::status;
 use crate::identity::access::Call;
 use crate::identity::{Caller, Gate, Peer, Rated, Rates, Refusal};
 
 /// Lets through only what the caller may call.
 #[derive(Clone)]
-pub struct AccessLayer {
+pub struct Access {
     gate: Arc<Gate>,
     rates: Arc<Rates>,
 }
 
-impl AccessLayer {
+impl Look for Access {
+    fn look<B>(&self, request: &mut Request<B>) -> Result<(), Status> {
+        let caller = Arc::new(self.admit(request)?);
+        request.extensions_mut().insert(Counted { caller, rates: Arc::clone(&self.rates) });
+        Ok(())
+    }
+}
+
+impl Access {
     /// As the gate says, and no oftener than the rates do.
     #[must_use]
     pub fn new(gate: Arc<Gate>, rates: Arc<Rates>) -> Self {
         Self { gate, rates }
     }
-}
 
-impl<S> Layer<S> for AccessLayer {
-    type Service = Admitting<S>;
-
-    fn layer(&self, inner: S) -> Admitting<S> {
-        Admitting { layer: self.clone(), inner }
-    }
-}
-
-/// A service whose requests come from callers that may call it.
-#[derive(Clone)]
-pub struct Admitting<S> {
-    layer: AccessLayer,
-    inner: S,
-}
-
-impl<S, B> Service<Request<B>> for Admitting<S>
-where
-    S: Service<Request<B>, Response = Response<Body>>,
-    S::Future: Send + 'static,
-    S::Error: Send + 'static,
-{
-    type Response = Response<Body>;
-    type Error = S::Error;
-    type Future = Pin<Box<dyn Future<Output = Result<Response<Body>, S::Error>> + Send>>;
-
-    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
-        self.inner.poll_ready(context)
-    }
-
-    fn call(&mut self, mut request: Request<B>) -> Self::Future {
-        match self.layer.admit(&request) {
-            Ok(caller) => {
-                let caller = Counted { caller: Arc::new(caller), rates: Arc::clone(&self.layer.rates) };
-                request.extensions_mut().insert(caller);
-                Box::pin(self.inner.call(request))
-            }
-            Err(status) => Box::pin(ready(Ok(status.into_http()))),
-        }
-    }
-}
-
-impl AccessLayer {
     fn admit<B>(&self, request: &Request<B>) -> Result<Caller, Status> {
         let (path, peer) = (request.uri().path(), request.extensions().get::<Arc<Peer>>().map(Arc::as_ref));
         let caller = self.gate.admit(Call::Rpc(path), peer, request.headers());

@@ -4,15 +4,11 @@
 //! that looks like a defect of the service, and it sends the same bytes again. A failure of the service's own carries
 //! details, which tells the two apart.
 
-use std::future::Future;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 
-use axum::http::{Request, Response};
+use axum::http::Response;
 use tonic::body::Body;
 use tonic::{Code, Status};
-use tower::{Layer, Service};
 
 use super::invalid_field::InvalidField;
 use super::status;
@@ -35,57 +31,17 @@ pub(super) fn told(status: Status) -> Status {
     status::invalid(&InvalidField::new("message", described))
 }
 
-/// Tells callers of a port what is their own fault, and counts what is refused.
-#[derive(Clone)]
-pub struct FaultsLayer(Arc<Metrics>);
-
-impl FaultsLayer {
-    /// Refusals are counted in `metrics`.
-    #[must_use]
-    pub fn new(metrics: Arc<Metrics>) -> Self {
-        Self(metrics)
-    }
-}
-
-impl<S> Layer<S> for FaultsLayer {
-    type Service = Faults<S>;
-
-    fn layer(&self, inner: S) -> Faults<S> {
-        Faults { metrics: self.0.clone(), inner }
-    }
-}
-
-/// A service whose callers are told what is their own fault.
-#[derive(Clone)]
-pub struct Faults<S> {
+/// Tells callers of a port what is their own fault, and counts what is refused in `metrics`.
+pub fn tell(
     metrics: Arc<Metrics>,
-    inner: S,
-}
-
-impl<S, B> Service<Request<B>> for Faults<S>
-where
-    S: Service<Request<B>, Response = Response<Body>>,
-    S::Future: Send + 'static,
-{
-    type Response = Response<Body>;
-    type Error = S::Error;
-    type Future = Pin<Box<dyn Future<Output = Result<Response<Body>, S::Error>> + Send>>;
-
-    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
-        self.inner.poll_ready(context)
-    }
-
-    fn call(&mut self, request: Request<B>) -> Self::Future {
-        let (answer, metrics) = (self.inner.call(request), self.metrics.clone());
-        Box::pin(async move {
-            let response = answer.await?;
-            // A call that fails before its first answer has its status among the headers.
-            let Some(status) = Status::from_header_map(response.headers()) else { return Ok(response) };
-            let status = told(status);
-            let outcome = word(status.code());
-            metrics.refused.get_or_create(&OutcomeLabel { outcome }).inc();
-            Ok(if status.code() == Code::InvalidArgument { status.into_http() } else { response })
-        })
+) -> impl Fn(Response<Body>) -> Response<Body> + Clone + Send + Sync + 'static {
+    move |response| {
+        // A call that fails before its first answer has its status among the headers.
+        let Some(status) = Status::from_header_map(response.headers()) else { return response };
+        let status = told(status);
+        let outcome = word(status.code());
+        metrics.refused.get_or_create(&OutcomeLabel { outcome }).inc();
+        if status.code() == Code::InvalidArgument { status.into_http() } else { response }
     }
 }
 
@@ -102,6 +58,8 @@ fn word(code: Code) -> &'static str {
         Code::Unimplemented => "UNIMPLEMENTED",
         Code::NotFound => "NOT_FOUND",
         Code::Internal => "INTERNAL",
+        Code::Unauthenticated => "UNAUTHENTICATED",
+        Code::PermissionDenied => "PERMISSION_DENIED",
         _ => "OTHER",
     }
 }

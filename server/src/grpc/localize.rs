@@ -98,8 +98,8 @@ impl LocalizationService for LocalizationApi {
         let (deadline, lanes) = (deadline(request.metadata()), self.lanes());
         let (_, mut extensions, request) = request.into_parts();
         // Its place among those that arrive is kept until it asks for a slot.
-        let arriving = extensions.remove::<Arc<Arriving>>();
-        self.inner.answer(request, deadline, &lanes, arriving).await.map(Response::new)
+        drop(extensions.remove::<Arc<Arriving>>());
+        self.inner.answer(request, deadline, &lanes).await.map(Response::new)
     }
 
     type LocalizeStreamStream = Pin<Box<dyn Stream<Item = Result<LocalizeStreamResponse, Status>> + Send>>;
@@ -123,7 +123,7 @@ impl LocalizationService for LocalizationApi {
                 let span = tracing::info_span!(parent: &call, "message", sequence);
                 let answer = match caller.count(Rated::Localize) {
                     Ok(()) => {
-                        let answer = inner.answer(request.unwrap_or_default(), deadline, &lanes, None);
+                        let answer = inner.answer(request.unwrap_or_default(), deadline, &lanes);
                         answer.instrument(span).await
                     }
                     Err(status) => Err(status),
@@ -166,9 +166,7 @@ impl Localization {
         request: LocalizeRequest,
         deadline: Option<Instant>,
         lanes: &Lanes,
-        arriving: Option<Arc<Arriving>>,
     ) -> Result<LocalizeResponse, Status> {
-        drop(arriving);
         let admitted = self.locator.admit().await.map_err(|refusal| self.refuse(&refusal))?;
         let inner = Arc::clone(self);
         let (response, check) =

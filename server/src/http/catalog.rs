@@ -3,11 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State};
-use axum::http::header;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use echofix_core::geo::{Grid, LatLon, TILE_M, TileId};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -15,6 +13,7 @@ use serde_json::{Value, json};
 use super::App;
 use super::day::iso_date;
 use super::error::Error;
+use super::operations::fresh;
 use super::past::{EpochParameter, Shown};
 use super::raster::corners;
 use crate::shares::Peer;
@@ -130,10 +129,6 @@ fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
         "bytes": stored.encoded().len(),
         "corners": corners.map(|at| [at.lon_deg, at.lat_deg]),
     }))
-}
-
-fn fresh(body: Value) -> Response {
-    ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }
 
 #[cfg(test)]

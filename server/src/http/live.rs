@@ -4,10 +4,8 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Extension, Query, State};
-use axum::http::header;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -17,6 +15,7 @@ use tokio_stream::wrappers::{BroadcastStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
 use super::error::Error;
+use super::operations::fresh;
 use super::{App, catalog, probes};
 use crate::identity::{Caller, Role};
 use crate::shares::Peer;
@@ -53,10 +52,6 @@ pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Resu
     let mut uploads = app.state.feed.uploads.recent(limit?.get()?);
     uploads.reverse();
     Ok(fresh(json!({ "uploads": uploads })))
-}
-
-fn fresh(body: serde_json::Value) -> Response {
-    ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only

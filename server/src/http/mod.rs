@@ -63,7 +63,7 @@ use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
 pub use origin::Hosts;
-pub use quarantine::{alarm_json, quarantine_event, reason_word};
+pub use quarantine::quarantine_event;
 
 /// What the routes answer from.
 #[derive(Clone)]

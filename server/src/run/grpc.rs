@@ -15,12 +15,13 @@ use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::server::NamedService;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
+use tower::util::MapResponseLayer;
 
 use super::calls::CallsLayer;
 use super::connections::{Acceptor, Door};
 use super::{Error, LATE_FRAMES, ServiceContext, ended};
 use crate::config::LimitsConfig;
-use crate::grpc::{AccessLayer, AdmissionLayer, FaultsLayer, LocalizationApi, MapApi, MappingApi};
+use crate::grpc::{Access, Admission, HeadsLayer, LocalizationApi, MapApi, MappingApi, tell_faults};
 use crate::health::Readiness;
 use crate::identity::Port;
 use crate::locating::Locator;
@@ -85,9 +86,9 @@ pub(super) async fn serve(
     let served = limited(limits)
         .layer(RequestSpanLayer::grpc())
         .layer(CallsLayer::new(limits.pace(), ending.clone()))
-        .layer(FaultsLayer::new(metrics.clone()))
-        .layer(AccessLayer::new(shared.gate.clone(), shared.rates.clone()))
-        .layer(AdmissionLayer::new(locator, metrics.clone()))
+        .layer(MapResponseLayer::new(tell_faults(metrics.clone())))
+        .layer(HeadsLayer(Access::new(shared.gate.clone(), shared.rates.clone())))
+        .layer(HeadsLayer(Admission::new(locator, metrics.clone())))
         .add_service(localization)
         .add_service(mapping)
         .add_service(map)
