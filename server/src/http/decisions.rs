@@ -16,9 +16,10 @@ use super::App;
 use super::catalog::progress_json;
 use super::day::parse_date;
 use super::error::Error;
-use super::operations::{audit, decision, diffs_json, fresh};
+use super::operations::{audit, decision, diffs_json, fresh, work};
 use super::quarantine::parse_hash;
 use crate::identity::Caller;
+use crate::shares::Peer;
 use crate::store::{Contributor, LONGEST_REMARK, Preview, Proposal, Remark};
 
 /// What is rolled back to.
@@ -34,11 +35,12 @@ pub struct RollbackBody {
 /// `POST /api/v1/map/rollback`
 pub async fn rollback(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<RollbackBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(RollbackBody { epoch, reason, dry_run }) = body?;
-    decided(&app, &caller, Proposal::Rollback(epoch), reason, dry_run).await
+    decided(&app, (peer, &caller), Proposal::Rollback(epoch), reason, dry_run).await
 }
 
 /// What is revoked: one of the first three.
@@ -59,6 +61,7 @@ pub struct RevokeBody {
 /// `POST /api/v1/map/revoke`
 pub async fn revoke(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<RevokeBody>, JsonRejection>,
 ) -> Result<Response, Error> {
@@ -83,7 +86,7 @@ pub async fn revoke(
             ));
         }
     };
-    decided(&app, &caller, proposal, reason, dry_run).await
+    decided(&app, (peer, &caller), proposal, reason, dry_run).await
 }
 
 /// What is undone.
@@ -100,11 +103,12 @@ pub struct UndoBody {
 /// `POST /api/v1/map/undo`: a rollback, a revocation or an undoing
 pub async fn undo(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<UndoBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(UndoBody { decision, reason, dry_run }) = body?;
-    decided(&app, &caller, Proposal::Undo(decision), reason, dry_run).await
+    decided(&app, (peer, &caller), Proposal::Undo(decision), reason, dry_run).await
 }
 
 /// What is compacted.
@@ -121,19 +125,20 @@ pub struct CompactBody {
 /// `POST /api/v1/map/compact`, formerly `/api/v1/map/settle`
 pub async fn compact(
     State(app): State<Arc<App>>,
+    peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
     body: Result<Json<CompactBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(CompactBody { before, reason, dry_run }) = body?;
     let malformed = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
     let day = parse_date(&before).ok_or_else(malformed)?;
-    decided(&app, &caller, Proposal::Compact(day), reason, dry_run).await
+    decided(&app, (peer, &caller), Proposal::Compact(day), reason, dry_run).await
 }
 
 /// A decision's epoch, absent when there was nothing to decide, and how far the map is; or what it would change.
 async fn decided(
     app: &App,
-    caller: &Caller,
+    (peer, caller): (Peer, &Arc<Caller>),
     proposal: Proposal,
     reason: Option<String>,
     dry_run: bool,
@@ -145,13 +150,18 @@ async fn decided(
     let map = || progress_json(&app.state.store.progress().borrow());
     if dry_run {
         let undoable = !matches!(proposal, Proposal::Compact(_));
-        let preview = decision(app, move |operations| Ok(operations.preview(&proposal)?)).await?;
+        let preview = work(app, peer, move |operations| Ok(operations.preview(&proposal)?)).await?;
         return Ok(fresh(json!({ "dry_run": preview_json(&preview, undoable), "map": map() })));
     }
-    let (what, why) = (in_words(&proposal), reason.clone());
-    let remark = Remark { by: caller.is_known().then(|| caller.to_string()), reason };
-    let epoch = decision(app, move |operations| Ok(operations.decide(&proposal, &remark)?)).await?;
-    audit(caller, &what, why.as_deref(), epoch);
+    let caller = Arc::clone(caller);
+    let remark = Remark { by: caller.is_known().then(|| caller.title()), reason };
+    let decided = decision(app, move |operations| {
+        let epoch = operations.decide(&proposal, &remark)?;
+        // Here, since who hangs up ends the request, and not what it began.
+        audit(&caller, &in_words(&proposal), remark.reason.as_deref(), epoch);
+        Ok(epoch)
+    });
+    let epoch = decided.await?;
     Ok(fresh(json!({ "epoch": epoch, "map": map() })))
 }
 

@@ -102,13 +102,15 @@ pub async fn import(
         let _held = place;
         let mut file = DatedRegion::new(BufReader::new(file), day_of(now_us()));
         let imported = operations.import(&mut file);
-        match file.refused() {
-            Some(reason) => Err(Error::BadRequest(reason)),
-            None => Ok(imported?),
+        if let Some(reason) = file.refused() {
+            return Err(Error::BadRequest(reason));
         }
+        let imported = imported?;
+        // Here, since who hangs up ends the request, and not what it began.
+        audit(&caller, &format!("import file {}", imported.file), None, Some(imported.epoch));
+        Ok(imported)
     });
     let imported = imported.await?;
-    audit(&caller, &format!("import file {}", imported.file), None, Some(imported.epoch));
     let body = json!({
         "file": imported.file.to_string(),
         "tiles": imported.tiles,

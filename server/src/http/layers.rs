@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
@@ -12,6 +12,7 @@ use super::App;
 use super::error::Error;
 use super::past::EpochParameter;
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
+use crate::identity;
 use crate::shares::Peer;
 
 /// The whole of Web Mercator, for a map that is empty.
@@ -50,6 +51,7 @@ fn is_known(headers: &HeaderMap, tag: &str) -> bool {
 pub async fn tilejson(
     State(app): State<Arc<App>>,
     peer: Peer,
+    other_end: Option<Extension<Arc<identity::Peer>>>,
     Path(file): Path<String>,
     epoch: EpochParameter,
     headers: HeaderMap,
@@ -60,13 +62,14 @@ pub async fn tilejson(
     let of_epoch = epoch.as_ref().ok().and_then(|epoch| epoch.0.query()).unwrap_or_default();
     let artist = app.shown(peer, epoch).await?.artist;
     let overview = app.limiter.work(peer, move || artist.overview()).await?;
+    let own_scheme = if other_end.is_some_and(|end| end.encrypted) { "https" } else { "http" };
     let body = json!({
         "tilejson": "3.0.0",
         "name": format!("Echofix {layer}"),
         "description": layer.description(),
         "version": format!("1.0.{}", overview.epoch),
         "scheme": "xyz",
-        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", origin(&headers))],
+        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", origin(&headers, own_scheme))],
         "minzoom": layer.min_zoom(),
         "maxzoom": MAX_ZOOM,
         "bounds": overview.bounds().map_or(WORLD, in_one_world),
@@ -83,8 +86,8 @@ fn in_one_world([west, south, east, north]: [f64; 4]) -> [f64; 4] {
     if west <= east { [west, south, east, north] } else { [-180.0, south, 180.0, north] }
 }
 
-/// `http://host:port` as the client reached us, or nothing: then addresses are relative.
-fn origin(headers: &HeaderMap) -> String {
+/// `http://host:port` as the client reached us, or nothing: then addresses are relative. `own_scheme` is this port's.
+fn origin(headers: &HeaderMap, own_scheme: &str) -> String {
     let text = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
     // Each proxy on the way adds its word behind those before: the first is what the client said.
     let first = |list: &'static str| text(list).and_then(|list| list.split(',').next()).map(str::trim);
@@ -94,7 +97,7 @@ fn origin(headers: &HeaderMap) -> String {
         Some(value.trim().trim_matches('"'))
     };
     let scheme = forwarded("proto").or_else(|| first("x-forwarded-proto"));
-    let scheme = scheme.filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or("http");
+    let scheme = scheme.filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or(own_scheme);
     let is_plain = |host: &&str| {
         !host.is_empty() && host.bytes().all(|b| b.is_ascii_alphanumeric() || b".:-[]_".contains(&b))
     };

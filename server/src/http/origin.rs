@@ -83,7 +83,8 @@ fn checked(hosts: &Hosts, request: &Request) -> Result<(), Error> {
     let site = text(headers, "sec-fetch-site").unwrap_or("none");
     let reads = [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method());
     // Even a picture of another page could start work, or read what it may not.
-    let foreign = site == "cross-site" && path.starts_with("/api/");
+    let works = path.starts_with("/api/") || (path.starts_with("/tiles/") && request.uri().query().is_some());
+    let foreign = site == "cross-site" && works;
     let moved = !reads && !["same-origin", "none"].contains(&site);
     if foreign || moved || (!reads && !is_own(headers, in_header.or(in_address))) {
         return Err(Error::WrongOrigin);

@@ -48,14 +48,14 @@ pub struct Shown {
 pub struct PastMaps {
     maps: Cache<u64, Shown>,
     /// Held while one is folded: requests at the same time wait for it instead of folding it, too, or being refused.
-    folding: Mutex<()>,
+    folding: Arc<Mutex<()>>,
 }
 
 impl Default for PastMaps {
     fn default() -> Self {
         // An epoch is the same map for ever.
         let maps = Cache::builder().max_capacity(KEPT).time_to_idle(IDLE).build();
-        Self { maps, folding: Mutex::default() }
+        Self { maps, folding: Arc::default() }
     }
 }
 
@@ -77,19 +77,21 @@ impl App {
         if let Some(shown) = self.past.maps.get(&epoch) {
             return Ok(shown);
         }
-        let _folding = self.past.folding.lock().await;
+        let folding = Arc::clone(&self.past.folding).lock_owned().await;
         if let Some(shown) = self.past.maps.get(&epoch) {
             return Ok(shown);
         }
-        let expectations = Arc::clone(&self.state.expectations);
-        let shown = work(self, peer, move |operations| {
+        let (expectations, maps) = (Arc::clone(&self.state.expectations), self.past.maps.clone());
+        work(self, peer, move |operations| {
+            // Both by the work, not by the request: what takes longer than a request may is there for the next one.
+            let _folding = folding;
             let store = operations.served_at(epoch)?;
             let expectations = Arc::new(expectations.over(Arc::clone(&store)));
             let artist = Arc::new(Artist::new(Arc::clone(&store), expectations));
-            Ok(Shown { store, artist })
-        });
-        let shown = shown.await?;
-        self.past.maps.insert(epoch, shown.clone());
-        Ok(shown)
+            let shown = Shown { store, artist };
+            maps.insert(epoch, shown.clone());
+            Ok(shown)
+        })
+        .await
     }
 }

@@ -63,7 +63,7 @@ pub fn quarantine_event(record: &QuarantinedRecord, id: Option<Uuid>) -> Quarant
 }
 
 /// Why vetting kept an upload out, in one word.
-pub fn reason_word(reason: Reason) -> &'static str {
+fn reason_word(reason: Reason) -> &'static str {
     match reason {
         Reason::Shifted => "SHIFTED",
         Reason::Rotated => "ROTATED",
@@ -83,7 +83,7 @@ pub fn parse_hash(word: &str) -> Option<u64> {
 }
 
 /// An alarm as it is listed, and told.
-pub fn alarm_json(alarm: &Alarm) -> Value {
+fn alarm_json(alarm: &Alarm) -> Value {
     let (kind, by) = match &alarm.kind {
         AlarmKind::Shift(by) => ("SHIFT", Some(offset_json(by))),
         AlarmKind::Changed => ("CHANGED", None),

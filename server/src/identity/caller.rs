@@ -103,13 +103,19 @@ impl Caller {
     pub fn is_known(&self) -> bool {
         !matches!(self.known, Known::Unasked | Known::Anonymous)
     }
+
+    /// Who, as what, and how it is known: for what is kept. From where is for the log alone.
+    #[must_use]
+    pub fn title(&self) -> String {
+        let name = if self.name.is_empty() { "somebody" } else { &self.name };
+        format!("{name} ({}, by {})", self.roles, self.known.word())
+    }
 }
 
 impl fmt::Display for Caller {
     /// For the log of decisions: who, as what, how it is known, from where.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = if self.name.is_empty() { "somebody" } else { &self.name };
-        write!(f, "{name} ({}, by {})", self.roles, self.known.word())?;
+        f.write_str(&self.title())?;
         self.address.map_or(Ok(()), |address| write!(f, " at {address}"))
     }
 }

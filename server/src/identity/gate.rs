@@ -254,13 +254,18 @@ impl Gate {
         let id = self.sessions.begin(hash, Instant::now());
         let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
         let lasts = super::sessions::LASTS.as_secs();
-        Ok((caller, cookie(&id, lasts, peer.is_some_and(|peer| peer.encrypted))))
+        Ok((caller, cookie(&id, lasts, self.is_encrypted(peer))))
     }
 
     /// Ends the session of a request; returns the cookie that says so to the browser.
     pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap) -> String {
         session(headers).inspect(|id| self.sessions.end(id));
-        cookie("", 0, peer.is_some_and(|peer| peer.encrypted))
+        cookie("", 0, self.is_encrypted(peer))
+    }
+
+    /// Is a browser's connection encrypted, here or by something in front?
+    fn is_encrypted(&self, peer: Option<&Peer>) -> bool {
+        self.identity.plaintext || peer.is_some_and(|peer| peer.encrypted)
     }
 }
 

@@ -8,6 +8,7 @@ use governor::{DefaultKeyedRateLimiter, Quota, RateLimiter};
 use serde::{Deserialize, Serialize};
 
 use super::caller::{Caller, Known};
+use crate::shares;
 
 /// Keys that are remembered before those are forgotten that have not asked for a while.
 const MANY: usize = 4096;
@@ -59,7 +60,9 @@ impl Rates {
     pub fn count(&self, what: Rated, caller: &Caller) -> Result<(), Duration> {
         match (caller.known, caller.address) {
             (Known::Unasked, _) | (Known::Anonymous, None) => Ok(()),
-            (Known::Anonymous, Some(address)) => self.count_for(what, &format!("?{address}")),
+            (Known::Anonymous, Some(address)) => {
+                self.count_for(what, &format!("?{}", shares::Peer::at(address)))
+            }
             _ => self.count_for(what, &caller.name),
         }
     }

@@ -147,6 +147,13 @@ impl Connection {
         if self.making_room.as_mut().poll(cx).is_ready() {
             return Some(Ok(()));
         }
+        // Its certificate was revoked, or its token: whoever it is connects again, or not.
+        if !self.told_to_go {
+            self.told_to_go = Pin::new(&mut self.closing).poll(cx).is_ready();
+        }
+        if self.told_to_go {
+            return Some(Err(io::ErrorKind::ConnectionAborted.into()));
+        }
         while self.deadline.as_mut().poll(cx).is_ready() {
             // A request that came in the same moment is served.
             if !self.origin.used.was_requested() {
@@ -161,6 +168,14 @@ impl Connection {
             self.deadline.as_mut().reset(again);
         }
         None
+    }
+
+    /// A write that waits for a peer which takes nothing: nobody reads meanwhile, so its time is looked at here, too.
+    fn unless_over<T>(&mut self, cx: &mut Context<'_>, written: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if written.is_pending() && self.is_over(cx).is_some() {
+            return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
+        }
+        written
     }
 
     fn note_sent(&mut self, written: &Poll<io::Result<usize>>) {
@@ -188,13 +203,6 @@ impl AsyncRead for Connection {
             // Nothing more is read: the caller takes it for the end of the connection.
             return Poll::Ready(over);
         }
-        // Its certificate was revoked, or its token: whoever it is connects again, or not.
-        if !self.told_to_go {
-            self.told_to_go = Pin::new(&mut self.closing).poll(cx).is_ready();
-        }
-        if self.told_to_go {
-            return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
-        }
         let before = buf.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buf);
         if !self.frames.take(&buf.filled()[before..], Instant::now()) {
@@ -214,15 +222,17 @@ impl AsyncWrite for Connection {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
         self.note_sent(&written);
-        written
+        self.unless_over(cx, written)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(cx)
+        let flushed = Pin::new(&mut self.stream).poll_flush(cx);
+        self.unless_over(cx, flushed)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(cx)
+        let shut = Pin::new(&mut self.stream).poll_shutdown(cx);
+        self.unless_over(cx, shut)
     }
 
     fn poll_write_vectored(
@@ -232,7 +242,7 @@ impl AsyncWrite for Connection {
     ) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write_vectored(cx, bytes);
         self.note_sent(&written);
-        written
+        self.unless_over(cx, written)
     }
 
     fn is_write_vectored(&self) -> bool {
