@@ -67,12 +67,14 @@ pub(super) fn catch_up(
              one, and start again"
         )));
     }
+    // What comes meanwhile is followed once this server serves: it may come faster than it is read.
+    let until = log.go_to_end()?.number;
     log.go_to(end + 1)?;
     let (segments, fence) = (backend.segments.clone(), backend.fence.clone());
     let journal = Journal::start(segments, found, (settings.segment_bytes, fence), |_, _| {}, |_| {})?;
-    loop {
+    while end + 1 < until {
         match log.peek()? {
-            Peeked::Nothing => return Ok(()),
+            Peeked::Nothing => break,
             Peeked::Passed => return Err(passed()),
             Peeked::Segment(segment) => {
                 end = write(&journal, &segment, end)?;
@@ -80,6 +82,7 @@ pub(super) fn catch_up(
             }
         }
     }
+    Ok(())
 }
 
 /// Writes the records of a segment that the journal, which ends at `end`, does not have; returns where it ends then.

@@ -1,7 +1,7 @@
 //! One of several servers that share a map: an embedded store whose records come in the order of a shared journal.
 //!
-//! Its data directory is a copy. Every server folds the same records with the same code, so all have the same map, epochs and
-//! versions, and any of them answers any request. What is acknowledged is in the bucket.
+//! Its data directory is a copy. Every server folds the same records with the same code, so all have the same map and
+//! epochs, and any of them answers any request. What is acknowledged is in the bucket.
 //!
 //! - [`copy`]: the data directory is begun, and brought up to the end of the shared journal.
 //! - [`sequencer`]: the thread that reads the shared journal, and appends to it.
