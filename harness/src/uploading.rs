@@ -12,7 +12,7 @@ use echofix_client::upload::spool::{Spool, SpoolLimits};
 use echofix_client::upload::{PreparedUpload, RecorderConfig, UploadEvent, Uploader, UploaderOptions};
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
 pub use outcome::{Interrupted, RepeatedError, Spooled, UploadedDrive};
@@ -23,7 +23,7 @@ use crate::recording::{RecordedDrive, record};
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Uploads a drive and waits until the service has it, or has acknowledged nothing for as long as `patience`. The bar counts
-/// acknowledgements. Interrupted by the user, it says how far it came.
+/// acknowledgements.
 ///
 /// # Errors
 /// When the drive has no reference poses, nothing of it can be mapped, the service takes none of it, or not all in time. What it
@@ -36,10 +36,11 @@ pub async fn upload(
     patience: Duration,
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, patience, bar).await
+    let (_, nobody) = watch::channel(false);
+    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, (patience, nobody), bar).await
 }
 
-/// The same as somebody whom the service knows.
+/// The same as somebody whom the service knows. Once the user interrupts it, it says how far it came.
 ///
 /// # Errors
 /// As [`upload`].
@@ -48,7 +49,7 @@ pub async fn upload_to(
     service: ServiceEndpoint,
     spool: &Path,
     config: RecorderConfig,
-    patience: Duration,
+    (patience, mut interrupted): (Duration, watch::Receiver<bool>),
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
     let RecordedDrive { uploads, left_out, findings, flaws } = record(drive, config)?;
@@ -65,8 +66,27 @@ pub async fn upload_to(
     let uploader = Uploader::start_observed(service, opened, UploaderOptions::default(), observer);
     bar.inc_length(uploads.len() as u64);
     let own = submit(uploads, &uploader, &mut done).await?;
-    let ended = follow(&uploader, &mut events, &own, &mut done, patience, bar).await;
+    let mut heard = Instant::now();
+    let ended = loop {
+        if uploader.progress().waiting == 0 {
+            break Ended::Sent;
+        }
+        tokio::select! {
+            // Off where nobody can interrupt.
+            Ok(_) = interrupted.wait_for(|interrupted| *interrupted) => break Ended::Interrupted,
+            () = tokio::time::sleep_until(heard + patience) => break Ended::GivenUp,
+            event = events.recv() => {
+                let Some(event) = event else { break Ended::GivenUp };
+                heard = if matches!(event, UploadEvent::Delayed { .. }) { heard } else { Instant::now() };
+                done.count(event, &own, bar);
+            }
+        }
+    };
     uploader.close().await;
+    // The last are told after the spool is empty.
+    while let Ok(event) = events.try_recv() {
+        done.count(event, &own, bar);
+    }
     done.judge(ended, &drive.vehicle, spool)?;
     Ok(done)
 }
@@ -97,34 +117,4 @@ enum Ended {
     GivenUp,
     /// The user has had enough.
     Interrupted,
-}
-
-/// Counts what becomes of the uploads until all are settled.
-async fn follow(
-    uploader: &Uploader,
-    events: &mut mpsc::UnboundedReceiver<UploadEvent>,
-    own: &HashSet<String>,
-    done: &mut UploadedDrive,
-    patience: Duration,
-    bar: &ProgressBar,
-) -> Ended {
-    let mut heard = Instant::now();
-    loop {
-        while let Ok(event) = events.try_recv() {
-            heard = if matches!(event, UploadEvent::Delayed { .. }) { heard } else { Instant::now() };
-            done.count(event, own, bar);
-        }
-        if uploader.progress().waiting == 0 {
-            return Ended::Sent;
-        }
-        tokio::select! {
-            interrupted = tokio::signal::ctrl_c() => if interrupted.is_ok() { return Ended::Interrupted },
-            () = tokio::time::sleep_until(heard + patience) => return Ended::GivenUp,
-            event = events.recv() => {
-                let Some(event) = event else { return Ended::GivenUp };
-                heard = if matches!(event, UploadEvent::Delayed { .. }) { heard } else { Instant::now() };
-                done.count(event, own, bar);
-            }
-        }
-    }
 }

@@ -95,7 +95,9 @@ impl Authority {
         let reading = || format!("reading {}", certificate.display());
         let pem = fs::read(certificate).with_context(reading)?;
         let serial = serial_of_pem(&pem).context("the file holds no certificate in PEM")?;
-        let known = fs::read_to_string(self.revoked_file()).unwrap_or_default();
+        // The list is made with the authority: without it, a new one would let back in whoever was revoked before.
+        let known = fs::read_to_string(self.revoked_file());
+        let known = known.with_context(|| format!("reading {}", self.revoked_file().display()))?;
         let mut lines: Vec<String> = known.lines().map(str::to_owned).collect();
         if !lines.contains(&serial) {
             lines.push(serial);
