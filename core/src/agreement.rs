@@ -50,8 +50,8 @@ impl MapPointIndex {
     }
 }
 
-/// What the tree takes.
-fn relative(point: MapPoint, origin: MapPoint) -> [f32; 2] {
+/// A position in single precision, as near a tile's points are compared.
+pub(crate) fn relative(point: MapPoint, origin: MapPoint) -> [f32; 2] {
     [(point.x_m - origin.x_m) as f32, (point.y_m - origin.y_m) as f32]
 }
 

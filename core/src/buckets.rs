@@ -1,5 +1,6 @@
 //! Is a point near the map, exactly? The points lie in buckets of a metre or two, so that few are looked at.
 
+use crate::agreement::relative;
 use crate::geo::{CELL_M, TILE_M, TileId};
 use crate::point::MapPoint;
 
@@ -77,10 +78,6 @@ impl PointBuckets {
 /// The row, or column, of buckets at a distance from the corner, metres; what lies outside counts to the outermost.
 fn row_of(along_m: f64) -> usize {
     ((along_m / BUCKET_M).max(0.0) as usize).min(SIDE - 1)
-}
-
-fn relative(point: MapPoint, origin: MapPoint) -> [f32; 2] {
-    [(point.x_m - origin.x_m) as f32, (point.y_m - origin.y_m) as f32]
 }
 
 #[cfg(test)]

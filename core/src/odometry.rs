@@ -33,6 +33,17 @@ pub enum Error {
     },
 }
 
+impl Error {
+    /// The kind of error as one word.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::NotIncreasing { .. } => "out_of_order",
+            Self::NotFinite { .. } => "not_finite",
+        }
+    }
+}
+
 impl Trajectory {
     /// Builds a trajectory from (microseconds since the Unix epoch, pose) pairs.
     ///

@@ -143,6 +143,18 @@ pub enum Error {
     },
 }
 
+impl Error {
+    /// The kind of error as one word.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::ColumnLength { .. } => "incomplete",
+            Self::NotFinite { .. } => "not_finite",
+            Self::NegativeRange { .. } | Self::NoElevation { .. } => "out_of_range",
+        }
+    }
+}
+
 impl Scan {
     /// Number of detections.
     #[must_use]

@@ -2,9 +2,9 @@
 
 #![expect(unsafe_code, reason = "an allocator that counts is an allocator")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell as Counter;
+mod counted;
 
+use counted::{Counting, peak};
 use echofix_core::evidence::VIEW_BLOCKS;
 use echofix_core::evidence::codec::{self, DeltaLimits};
 use echofix_core::tile::{self, DecodeError};
@@ -18,52 +18,6 @@ static ALLOCATOR: Counting = Counting;
 const MOST: isize = 16 << 20;
 const LIMITS: DeltaLimits = DeltaLimits { tiles: 4_096, cells: 500_000 };
 const CELLS: u64 = 512 * 512;
-
-thread_local! {
-    /// Bytes this thread holds, and the most it held: tests run side by side.
-    static HELD: Counter<isize> = const { Counter::new(0) };
-    static PEAK: Counter<isize> = const { Counter::new(0) };
-}
-
-/// The system's allocator, counted.
-struct Counting;
-
-fn count(bytes: isize) {
-    HELD.set(HELD.get() + bytes);
-    PEAK.set(PEAK.get().max(HELD.get()));
-}
-
-// SAFETY: everything is the system's; counting in constant thread-locals without a destructor
-// neither allocates nor fails.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size() as isize);
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        count(-(layout.size() as isize));
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(block, layout) }
-    }
-
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // Both are there while the content is moved.
-        count(size as isize);
-        count(-(layout.size() as isize));
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(block, layout, size) }
-    }
-}
-
-/// The most that was held beyond what was held before.
-fn peak<T>(work: impl FnOnce() -> T) -> (T, isize) {
-    let before = HELD.get();
-    PEAK.set(before);
-    let done = work();
-    (done, PEAK.get() - before)
-}
 
 fn sealed(magic: [u8; 3], version: u8, body: &[u8]) -> Vec<u8> {
     let sum = crc32c::crc32c(body).to_le_bytes();

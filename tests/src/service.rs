@@ -95,7 +95,7 @@ impl Service {
 
     /// Asks the process to end (SIGTERM), without waiting.
     pub fn ask_to_end(&self) {
-        signal(self.process.pid(), "TERM");
+        self.signal("TERM");
     }
 
     /// Sends a signal by its name, as `TERM`.
@@ -121,7 +121,7 @@ impl Service {
 
     /// Stops the process (SIGSTOP), as a machine that hangs would be, or lets it go on.
     pub fn stall(&self, stalled: bool) {
-        signal(self.process.pid(), if stalled { "STOP" } else { "CONT" });
+        self.signal(if stalled { "STOP" } else { "CONT" });
     }
 
     /// Waits for the end of a process that was asked to end.

@@ -150,20 +150,17 @@ impl Problem {
             | Self::SensorOrder { .. }
             | Self::TooLarge { .. } => "unreadable",
             Self::UnknownSensor { .. } => "unknown_sensor",
-            Self::HalfADetection
-            | Self::PartialColumn { .. }
-            | Self::Scan(scan::Error::ColumnLength { .. }) => "incomplete",
-            Self::NotFinite
-            | Self::Scan(scan::Error::NotFinite { .. })
-            | Self::Odometry(odometry::Error::NotFinite { .. }) => "not_finite",
+            Self::HalfADetection | Self::PartialColumn { .. } => "incomplete",
+            Self::NotFinite => "not_finite",
+            Self::Scan(error) => error.reason(),
+            Self::Odometry(error) => error.reason(),
             Self::NegativeRange { .. }
             | Self::NoElevation { .. }
             | Self::NegativeSigma { .. }
             | Self::NotAPosition { .. }
-            | Self::NotATime { .. }
-            | Self::Scan(_) => "out_of_range",
+            | Self::NotATime { .. } => "out_of_range",
             Self::Doubled => "doubled",
-            Self::OutOfOrder { .. } | Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::OutOfOrder { .. } => "out_of_order",
             Self::CutOff(_) => "cut_off",
             Self::DamagedChunk { .. } => "damaged",
         }

@@ -42,7 +42,7 @@ pub struct PreparedUpload {
 impl PreparedUpload {
     /// An upload under a fresh id, without chunks yet.
     pub(crate) fn start(contributor: &str, mounts: &[Mount], reference_time_us: i64) -> Self {
-        // Version 7 ids sort by time: the spool's order is the order of the drive.
+        // Until it is identified by what it holds.
         let id = Uuid::now_v7();
         let header = v1::UploadHeader {
             upload_id: id.to_string(),
@@ -106,14 +106,14 @@ impl PreparedUpload {
         id[6..8].copy_from_slice(&(number.min(0xfff) as u16).to_be_bytes());
         self.id = Uuid::new_v8(id);
         let id = self.id.to_string();
-        if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
+        if let Some(header) = self.header_mut() {
             header.upload_id = id;
         }
     }
 
     /// Says what the vehicle left out of it, that it has looked at its own data, and what it suspects of them.
     pub(crate) fn tell(&mut self, dropped: &Dropped, findings: &[Finding]) {
-        if let Some(Part::Header(header)) = self.parts.first_mut().and_then(|first| first.part.as_mut()) {
+        if let Some(header) = self.header_mut() {
             header.dropped = (dropped.total() > 0).then(|| wire::dropped(dropped));
             header.suspected = wire::suspected(findings);
             header.inspected = true;
@@ -136,6 +136,13 @@ impl PreparedUpload {
     #[must_use]
     pub fn into_parts(self) -> Vec<v1::UploadRequest> {
         self.parts
+    }
+
+    fn header_mut(&mut self) -> Option<&mut v1::UploadHeader> {
+        match self.parts.first_mut()?.part.as_mut()? {
+            Part::Header(header) => Some(header),
+            Part::Chunk(_) | Part::Evidence(_) => None,
+        }
     }
 
     /// What all chunks have in common.

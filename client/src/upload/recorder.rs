@@ -62,11 +62,9 @@ impl Error {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Contributor(_) => "contributor",
-            Self::Scan(scan::Error::NotFinite { .. })
-            | Self::Odometry(odometry::Error::NotFinite { .. })
-            | Self::NotAPose { .. } => "not_finite",
-            Self::Scan(_) => "unreadable",
-            Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::Scan(error) => error.reason(),
+            Self::Odometry(error) => error.reason(),
+            Self::NotAPose { .. } => "not_finite",
             Self::UnknownSensor { .. } => "unknown_sensor",
             Self::TooLate { .. } => "too_late",
             Self::OffTheMap(_) => "off_the_map",

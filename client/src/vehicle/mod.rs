@@ -93,11 +93,9 @@ impl Error {
     #[must_use]
     pub fn reason(&self) -> &'static str {
         match self {
-            Self::Scan(scan::Error::NotFinite { .. })
-            | Self::Odometry(odometry::Error::NotFinite { .. })
-            | Self::NotAPose { .. } => "not_finite",
-            Self::Scan(_) => "unreadable",
-            Self::Odometry(odometry::Error::NotIncreasing { .. }) => "out_of_order",
+            Self::Scan(error) => error.reason(),
+            Self::Odometry(error) => error.reason(),
+            Self::NotAPose { .. } => "not_finite",
             Self::UnknownSensor { .. } => "unknown_sensor",
             Self::AheadOfOdometry { .. } => "without_odometry",
             Self::TooLate { .. } => "too_late",

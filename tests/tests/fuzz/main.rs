@@ -9,6 +9,7 @@
 
 #![expect(unsafe_code, reason = "an allocator that counts is an allocator")]
 
+#[path = "../../../core/tests/counted/mod.rs"]
 mod counted;
 mod mutation;
 

@@ -29,7 +29,7 @@ pub(super) trait Records {
     fn record(&mut self, opcode: u8, data: &[u8]) -> Result<(), Problem>;
     /// Are the messages of a channel to be held?
     fn wants(&self, channel: u16) -> bool;
-    /// A message of such a channel; or `None` for one that is larger than any, with its bytes.
+    /// A message of such a channel; or an error for one that is larger than any, with its bytes.
     fn message(&mut self, channel: u16, data: Result<&[u8], u64>);
     /// Something that cannot be read, at a byte of the file.
     fn flaw(&mut self, at: u64, problem: &Problem);
@@ -69,13 +69,13 @@ pub(super) fn read(file: File, records: &mut impl Records) -> io::Result<()> {
             return Ok(());
         }
         match opcode {
-            op::CHUNK => match chunk(&mut file, length, records) {
+            op::CHUNK => match chunk(&mut file, (at, length), records) {
                 Ok(()) => {}
                 Err(problem) => {
                     records.flaw(at, &Problem::DamagedChunk { bytes: length, problem: problem.to_string() });
                 }
             },
-            _ => one(&mut file, opcode, length, records)?,
+            _ => one(&mut file, (at, opcode, length), records)?,
         }
         let here = file.stream_position()?;
         file.seek_relative(end as i64 - here as i64)?;
@@ -88,13 +88,22 @@ fn parse_head(head: [u8; HEAD]) -> (u8, u64) {
     (opcode, u64::from_le_bytes(length))
 }
 
-/// Reads a record that is wanted; of another one, nothing or its head.
-fn one(from: &mut impl Read, opcode: u8, length: u64, records: &mut impl Records) -> io::Result<()> {
+/// Reads a record that is wanted; of another one, nothing or its head. `at` is where it, or its chunk, begins.
+fn one(
+    from: &mut impl Read,
+    (at, opcode, length): (u64, u8, u64),
+    records: &mut impl Records,
+) -> io::Result<()> {
     match opcode {
         op::SCHEMA | op::CHANNEL | op::METADATA if length <= MAX_RECORD => {
             let data = hold(from, length)?;
-            if let Err(problem) = records.record(opcode, &data) {
-                records.flaw(0, &problem);
+            let taken = if lengths_hold(opcode, &data) {
+                records.record(opcode, &data)
+            } else {
+                Err(Problem::Unparsable("a length in it goes on behind its end".to_owned()))
+            };
+            if let Err(problem) = taken {
+                records.flaw(at, &problem);
             }
             Ok(())
         }
@@ -119,7 +128,7 @@ fn one(from: &mut impl Read, opcode: u8, length: u64, records: &mut impl Records
 
 /// Do the lengths in a schema, channel or metadata record lie within it? The library makes room for what they say before it
 /// looks.
-pub(super) fn lengths_hold(opcode: u8, data: &[u8]) -> bool {
+fn lengths_hold(opcode: u8, data: &[u8]) -> bool {
     // Numbers of fixed size, then texts and maps, each behind its length in bytes.
     let (fixed, parts) = match opcode {
         op::SCHEMA => (2, 3),
@@ -155,8 +164,8 @@ fn hold(from: &mut impl Read, length: u64) -> io::Result<Vec<u8>> {
     if (data.len() as u64) < length { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(data) }
 }
 
-/// Reads the records of a chunk, of which so many bytes are left in the file.
-fn chunk(file: &mut BufReader<File>, length: u64, records: &mut impl Records) -> io::Result<()> {
+/// Reads the records of a chunk, which begins at a byte of the file and is so long.
+fn chunk(file: &mut BufReader<File>, (at, length): (u64, u64), records: &mut impl Records) -> io::Result<()> {
     let header = ChunkHeader::read(file)?;
     let start = file.stream_position()?;
     let told = |problem: &str| io::Error::other(problem.to_owned());
@@ -180,7 +189,7 @@ fn chunk(file: &mut BufReader<File>, length: u64, records: &mut impl Records) ->
         left -= HEAD as u64;
         left = left.checked_sub(length).ok_or_else(|| told("a record goes on behind its end"))?;
         let mut record = (&mut contents).take(length);
-        one(&mut record, opcode, length, records)?;
+        one(&mut record, (at, opcode, length), records)?;
         io::copy(&mut record, &mut io::sink())?;
     }
     Ok(())
