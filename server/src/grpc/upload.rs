@@ -1,4 +1,4 @@
-//! `MappingService.UploadRecord`: receive, check, journal, answer.
+//! `MappingService.Upload`: receive, check, journal, answer.
 //!
 //! - [`receive`]: the messages, bounded in bytes and detections.
 //! - [`evidence`]: what a vehicle gathered itself.
