@@ -11,6 +11,7 @@
 
 mod config;
 mod contents;
+mod progress;
 mod recorder;
 mod segment;
 mod sender;
@@ -19,6 +20,7 @@ mod uploader;
 
 pub use config::{RecorderConfig, UploadForm};
 pub use contents::{DamagedUpload, PreparedUpload};
+pub use progress::{UploadEvent, UploadProgress, UploaderOptions};
 pub use recorder::{Error, FinishedTrip, Recorder};
 pub use spool::Spool;
-pub use uploader::{FlushError, UploadEvent, UploadProgress, Uploader, UploaderOptions};
+pub use uploader::{FlushError, Uploader};

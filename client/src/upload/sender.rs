@@ -12,9 +12,9 @@ use tokio::sync::watch;
 use tonic::Request;
 use uuid::Uuid;
 
+use super::PreparedUpload;
+use super::progress::{Observer, UploadEvent, UploadProgress, UploaderOptions};
 use super::spool::{self, Spool};
-use super::uploader::{Observer, UploadEvent};
-use super::{PreparedUpload, UploadProgress, UploaderOptions};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
 use crate::service::{CallerChannel, ServiceEndpoint};

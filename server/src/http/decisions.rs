@@ -14,10 +14,10 @@ use uuid::Uuid;
 
 use super::App;
 use super::catalog::progress_json;
+use super::contributor::parse_hash;
 use super::day::parse_date;
 use super::error::Error;
 use super::operations::{audit, decision, diffs_json, fresh, work};
-use super::quarantine::parse_hash;
 use crate::identity::Caller;
 use crate::shares::Peer;
 use crate::store::{Contributor, LONGEST_REMARK, Preview, Proposal, Remark};

@@ -24,6 +24,7 @@
 mod access;
 mod catalog;
 mod console;
+mod contributor;
 mod day;
 mod decisions;
 mod error;

@@ -12,9 +12,9 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::App;
+use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
-use super::quarantine::hash_word;
 use super::raster::corners;
 use crate::identity::Caller;
 use crate::shares::Peer;

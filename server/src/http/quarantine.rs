@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use uuid::Uuid;
 
 use super::App;
+use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
 use super::operations::fresh;
@@ -69,17 +70,6 @@ fn reason_word(reason: Reason) -> &'static str {
         Reason::Rotated => "ROTATED",
         Reason::Disagrees => "DISAGREES",
     }
-}
-
-/// A contributor's keyed hash, as it is told.
-pub fn hash_word(hash: u64) -> String {
-    format!("{hash:016x}")
-}
-
-/// The keyed hash that is told so.
-pub fn parse_hash(word: &str) -> Option<u64> {
-    let hex = word.len() == 16 && word.bytes().all(|b| b.is_ascii_hexdigit());
-    hex.then(|| u64::from_str_radix(word, 16).ok()).flatten()
 }
 
 /// An alarm as it is listed, and told.

@@ -6,7 +6,6 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::role::{Role, Roles};
-use super::tls::TlsError;
 
 /// What encrypts both ports. An empty path is none.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,6 +39,15 @@ pub struct IdentityConfig {
     pub trust_domain: String,
     /// Whether anybody may read `/metrics`.
     pub open_metrics: bool,
+}
+
+/// A file that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{key}` ({path}): {reason}")]
+pub struct TlsError {
+    pub(super) key: &'static str,
+    pub(super) path: String,
+    pub(super) reason: String,
 }
 
 /// Why nobody can be let in as configured.

@@ -11,11 +11,11 @@ use rustls::pki_types::CertificateDer;
 use super::access::{self, Access, Call};
 use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
-use super::config::{Error, IdentityConfig, Strangers, TlsConfig, check};
+use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
 use super::peer::{Closing, Entry, Peer, Peers};
 use super::role::{Role, Roles};
 use super::sessions::{COOKIE, Sessions};
-use super::tls::{Files, Identified, TlsError};
+use super::tls::{Files, Identified};
 use super::tokens::{TokenHash, hash_of};
 
 /// Why a call is not answered.

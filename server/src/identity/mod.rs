@@ -28,10 +28,10 @@ pub mod tokens;
 
 pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
-pub use config::{Error, IdentityConfig, TlsConfig, check};
+pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
 pub use gate::{Gate, Refusal};
 pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
 pub use role::{Role, Roles};
-pub use tls::{Identified, Port, TlsError};
+pub use tls::{Identified, Port};

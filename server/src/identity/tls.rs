@@ -14,7 +14,7 @@ use rustls::version::TLS13;
 use rustls::{RootCertStore, ServerConfig};
 
 use super::certificate::not_after;
-use super::config::{IdentityConfig, TlsConfig};
+use super::config::{IdentityConfig, TlsConfig, TlsError};
 use super::tokens::{MAX_BYTES, Tokens};
 
 /// Which of the two ports; they differ in the protocols that run over TLS, and in nothing else.
@@ -24,15 +24,6 @@ pub enum Port {
     Grpc,
     /// HTTP/2 and HTTP/1.1.
     Http,
-}
-
-/// A file that cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{key}` ({path}): {reason}")]
-pub struct TlsError {
-    key: &'static str,
-    path: String,
-    reason: String,
 }
 
 /// What the files hold, byte by byte.

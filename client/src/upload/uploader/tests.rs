@@ -1,6 +1,7 @@
 //! The uploader against services that fail, hang, forget to answer and refuse.
 
 use super::*;
+use crate::backoff::BackoffPolicy;
 use crate::testing::service::{Behaviour, MockService};
 use crate::testing::upload;
 use crate::upload::spool::SpoolLimits;

@@ -1,4 +1,4 @@
-//! The journal: append-only, checksummed segment files. What [`Journal::append`] returns for is on
+//! The journal: append-only, checksummed segment files. What [`Journal::append_all`] returns for is on
 //! disk.
 
 use std::sync::mpsc::{self, Receiver, Sender};
