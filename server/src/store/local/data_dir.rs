@@ -156,7 +156,7 @@ impl Pseudonyms for DataDir {
 }
 
 /// Refuses a directory that holds other things than a store, and nothing of a store: it was named by mistake.
-fn refuse_foreign(root: &Path) -> Result<(), Error> {
+pub(super) fn refuse_foreign(root: &Path) -> Result<(), Error> {
     let names = files::names(root)?;
     let ours = ["journal", "manifest", "key", "key-copy", "writer", "ballast", SET_ASIDE];
     let numbered = [TILES, SCRATCH, "base-"];

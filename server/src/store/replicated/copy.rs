@@ -1,6 +1,7 @@
 //! The data directory of a server that shares its map: begun from the newest manifest, and brought up to the end of the
 //! shared journal before anything is served. So no start answers from a map that lacks what was acknowledged before it.
 
+use siphasher::sip::SipHasher24;
 use uuid::Uuid;
 
 use crate::store::api::Error;
@@ -42,6 +43,20 @@ pub(super) fn begin(
     let pack = pack.as_ref().map(|(name, bytes)| (&name[..], &bytes[..]));
     let header = segment::header(cluster.journal, manifest.next);
     seed::begin(&options.data_dir, key, pack, (manifest.next, &header))
+}
+
+/// Are contributors called in the directory what they are called in the bucket?
+///
+/// # Errors
+/// When they are not: then each would be another one here than on the other servers.
+pub(super) fn has_key(backend: &Backend, key: &[u8; 16]) -> Result<(), Error> {
+    const SOMEBODY: &str = "somebody";
+    if backend.pseudonyms.hash(SOMEBODY) == SipHasher24::new_with_key(key).hash(SOMEBODY.as_bytes()) {
+        return Ok(());
+    }
+    let reason = "the key in the data directory is not that of the bucket. Name an empty directory: it becomes a copy of what is \
+                  in the bucket";
+    Err(Error::Unusable(reason.to_owned()))
 }
 
 /// Writes to the directory's journal what the shared one has more.

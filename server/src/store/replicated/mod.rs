@@ -95,6 +95,7 @@ impl ReplicatedStore {
         copy::begin(client, options, (&cluster, &key), log.chain().known())?;
         let backend = local::open(&options.data_dir, options.table, options.cache_bytes)?;
         copy::catch_up(&backend, &settings, cluster.journal, &mut log)?;
+        copy::has_key(&backend, &key)?;
         let copy = EmbeddedStore::over(backend, settings)?;
         log.go_to(copy.shared.index.newest() + 1)?;
         let ended = Arc::<AtomicBool>::default();

@@ -265,6 +265,25 @@ fn a_directory_of_another_map_is_refused() {
     assert_eq!(open(dir.path()).totals().uploads, 3, "and left as it is");
 }
 
+/// Catches: a directory that is begun anew over one whose journal lies on a volume that is not mounted, or over somebody
+/// else's files.
+#[test]
+fn a_directory_that_lost_its_journal_or_is_no_stores_is_not_begun() {
+    let (dir, bucket) = (tempfile::tempdir().unwrap(), client(memory()));
+    drop(ReplicatedStore::over(&bucket, &options(dir.path()), PACE).unwrap());
+    let key = std::fs::read(dir.path().join("key")).unwrap();
+    std::fs::rename(dir.path().join("journal"), dir.path().join("elsewhere")).unwrap();
+    let refused = ReplicatedStore::over(&bucket, &options(dir.path()), PACE).err().unwrap();
+    assert!(matches!(&refused, Error::Unusable(reason) if reason.contains("no journal")), "{refused}");
+    assert_eq!(std::fs::read(dir.path().join("key")).unwrap(), key, "and left as it is");
+    std::fs::rename(dir.path().join("elsewhere"), dir.path().join("journal")).unwrap();
+    drop(ReplicatedStore::over(&bucket, &options(dir.path()), PACE).unwrap());
+    let foreign = tempfile::tempdir().unwrap();
+    std::fs::write(foreign.path().join("thesis.tex"), "chapter 1").unwrap();
+    let refused = ReplicatedStore::over(&bucket, &options(foreign.path()), PACE).err().unwrap();
+    assert!(refused.to_string().contains("thesis.tex"), "{refused}");
+}
+
 /// Catches: a map that changes, or loses its compacted part or its contributors' names, on its way into a bucket; and one that
 /// is brought into a bucket of another.
 #[test]
