@@ -16,8 +16,9 @@ use tokio::runtime::Runtime;
 use super::bucket::{Bucket, Created, Failure, Listed};
 use crate::store::api::{Error, io_error};
 
-/// Until a request has its answer. A segment of 8 MiB takes a while.
+/// Until a request has its answer, and what it carries may take besides: a compacted map takes longer than a header.
 const TIMEOUT: Duration = Duration::from_secs(20);
+const PER_BYTE: Duration = Duration::from_micros(1);
 const CONNECT: Duration = Duration::from_secs(3);
 
 /// A bucket of an object store, or a folder of one.
@@ -47,7 +48,7 @@ impl Remote {
             .iter()
             .any(|name| std::env::var(name).is_ok_and(|endpoint| endpoint.starts_with("http://")));
         let options = ClientOptions::new()
-            .with_timeout(TIMEOUT)
+            .with_timeout_disabled()
             .with_connect_timeout(CONNECT)
             .with_allow_http(endpoint_is_plain || std::env::var("AWS_ALLOW_HTTP").is_ok_and(|v| v == "true"));
         // What is tried again, and what its outcome was, is decided here: the library cannot tell its first success from
@@ -88,6 +89,18 @@ impl Remote {
         };
         runtime.block_on(request)
     }
+}
+
+/// A part of a request, which carries so many bytes.
+async fn timely<T>(
+    bytes: u64,
+    part: impl Future<Output = Result<T, object_store::Error>>,
+) -> Result<T, object_store::Error> {
+    let time = TIMEOUT + PER_BYTE.saturating_mul(u32::try_from(bytes).unwrap_or(u32::MAX));
+    let late = |late: tokio::time::error::Elapsed| {
+        Err(object_store::Error::Generic { store: "the bucket", source: late.into() })
+    };
+    tokio::time::timeout(time, part).await.unwrap_or_else(late)
 }
 
 impl Drop for Remote {
@@ -131,7 +144,9 @@ fn chain(error: &dyn std::error::Error) -> String {
 impl Bucket for Remote {
     fn create(&self, name: &str, body: &[u8]) -> Result<Created, Failure> {
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
-        match self.wait(self.store.put_opts(&self.path(name), body.to_vec().into(), options)) {
+        let path = self.path(name);
+        let put = self.store.put_opts(&path, body.to_vec().into(), options);
+        match self.wait(timely(body.len() as u64, put)) {
             Ok(_) => Ok(Created::Won),
             Err(object_store::Error::AlreadyExists { .. } | object_store::Error::Precondition { .. }) => {
                 Ok(Created::Taken)
@@ -143,7 +158,10 @@ impl Bucket for Remote {
     fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Option<Vec<u8>>, Failure> {
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         let path = self.path(name);
-        let got = self.wait(async { self.store.get_opts(&path, options).await?.bytes().await });
+        let got = self.wait(async {
+            let got = timely(0, self.store.get_opts(&path, options)).await?;
+            timely(got.range.end - got.range.start, got.bytes()).await
+        });
         match got {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
             Err(object_store::Error::NotFound { source, .. })
@@ -162,8 +180,8 @@ impl Bucket for Remote {
             use tokio_stream::StreamExt as _;
             let mut all = Vec::new();
             let mut stream = self.store.list(Some(&path));
-            while let Some(next) = stream.next().await {
-                all.push(next?);
+            while let Some(next) = timely(0, async { stream.next().await.transpose() }).await? {
+                all.push(next);
             }
             Ok(all)
         });
@@ -182,7 +200,7 @@ impl Bucket for Remote {
     }
 
     fn delete(&self, name: &str) -> Result<(), Failure> {
-        match self.wait(self.store.delete(&self.path(name))) {
+        match self.wait(timely(0, self.store.delete(&self.path(name)))) {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(failure(&error)),
         }
