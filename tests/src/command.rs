@@ -31,6 +31,17 @@ impl CommandRun {
         assert_eq!((self.code, self.stdout.as_str()), (Some(1), ""), "{self:#?}");
         &self.stderr
     }
+
+    /// What the JSON of standard output says of the error; fails the test unless the run ended with exit
+    /// code 1, and standard error says the same to people.
+    pub fn json_error(&self) -> String {
+        assert_eq!(self.code, Some(1), "{self:#?}");
+        let said: Value = serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("not JSON ({error}): {self:#?}"));
+        let message = said["error"]["message"].as_str().unwrap_or_else(|| panic!("no message: {self:#?}"));
+        assert!(self.stderr.contains(message), "{self:#?}");
+        message.to_owned()
+    }
 }
 
 /// Runs `echofix` with arguments to its end.

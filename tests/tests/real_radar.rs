@@ -106,7 +106,7 @@ fn comma2k19_movers_are_dropped_and_too_little_is_never_usable() {
     // Its poses are known to half a metre and a degree: not well enough for the default limits.
     let arguments = ["map", &log, "--server", &service.grpc, "--spool", &spool, "--json"];
     let strict = echofix(arguments);
-    assert!(strict.error().contains("without a good pose"), "{strict:?}");
+    assert!(strict.json_error().contains("without a good pose"), "{strict:?}");
     let mapped =
         echofix(arguments.iter().chain(&["--max-sigma-m", "0.6", "--max-sigma-yaw-deg", "1"])).json();
     eprintln!("{mapped}");
