@@ -33,19 +33,19 @@ const outputOf = ({ metafile }, ending) =>
 const worker = await bundle({ entryPoints: { worker: 'maplibre-gl/dist/maplibre-gl-worker.mjs' } });
 const page = await bundle({
   entryPoints: { console: 'src/main.js' },
-  define: { WORKER_URL: JSON.stringify(`/assets/${outputOf(worker, '.js')}`) },
+  define: { WORKER_URL: JSON.stringify(`assets/${outputOf(worker, '.js')}`) },
 });
 
 // The map library's licence asks to be handed on.
 const library = 'node_modules/maplibre-gl';
 const { version } = JSON.parse(await readFile(`${library}/package.json`, 'utf8'));
-const licence = `/assets/maplibre-gl-${version}-licence.txt`;
-await copyFile(`${library}/LICENSE.txt`, `${DIST}${licence}`);
+const licence = `assets/maplibre-gl-${version}-licence.txt`;
+await copyFile(`${library}/LICENSE.txt`, `${DIST}/${licence}`);
 
 const html = (await readFile('index.html', 'utf8'))
-  .replace('{{script}}', `/assets/${outputOf(page, '.js')}`)
+  .replace('{{script}}', `assets/${outputOf(page, '.js')}`)
   .replace('{{licence}}', licence)
-  .replace('{{style}}', `/assets/${outputOf(page, '.css')}`);
+  .replace('{{style}}', `assets/${outputOf(page, '.css')}`);
 await writeFile(`${DIST}/index.html`, html);
 
 const texts = (await readdir(`${DIST}/assets`)).map((name) => `assets/${name}`);

@@ -57,6 +57,17 @@ pub fn post(url: &str, body: &Value) -> Answer {
     answer.unwrap_or_else(|error| panic!("no answer from {url}: {error}"))
 }
 
+/// A request without a body, by any method; fails the test when nobody answers.
+pub fn send(method: &str, url: &str, headers: &[(&str, &str)]) -> Answer {
+    let mut request = ureq::http::Request::builder().method(method).uri(url);
+    for (name, value) in headers {
+        request = request.header(*name, *value);
+    }
+    let sent =
+        agent(Duration::from_secs(20)).run(request.body(()).expect("it is a request")).and_then(answer);
+    sent.unwrap_or_else(|error| panic!("no answer from {url}: {error}"))
+}
+
 fn fetch(url: &str, headers: &[(&str, &str)]) -> Result<Answer, ureq::Error> {
     let mut request = agent(Duration::from_secs(20)).get(url);
     for (name, value) in headers {

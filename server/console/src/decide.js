@@ -15,7 +15,7 @@ export async function decide(title, route, body, { preview } = {}) {
   byId('decide-reason').value = '';
   dialog.showModal();
   try {
-    const { dry_run: change } = await post(`/api/v1/map/${route}`, { ...body, dry_run: true });
+    const { dry_run: change } = await post(`api/v1/map/${route}`, { ...body, dry_run: true });
     tell(change);
     preview?.(change);
     confirm.disabled = false;
@@ -25,7 +25,7 @@ export async function decide(title, route, body, { preview } = {}) {
   const said = await new Promise((resolve) => dialog.addEventListener('close', () => resolve(dialog.returnValue), { once: true }));
   preview?.(undefined);
   if (said !== 'yes') return undefined;
-  return post(`/api/v1/map/${route}`, { ...body, reason: byId('decide-reason').value });
+  return post(`api/v1/map/${route}`, { ...body, reason: byId('decide-reason').value });
 }
 
 function tell(change) {

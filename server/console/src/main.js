@@ -40,7 +40,7 @@ async function chooseLayer(layer) {
 
 async function describeLayer() {
   const { layer } = state;
-  const { description, legend } = await ask(`/tiles/${layer}.json`);
+  const { description, legend } = await ask(`tiles/${layer}.json`);
   if (state.layer !== layer) return;
   byId('about').textContent = description;
   byId('ramp').style.background = `linear-gradient(90deg, ${legend.map(({ color }) => color).join(', ')})`;
@@ -48,7 +48,7 @@ async function describeLayer() {
 }
 
 async function loadMap() {
-  const [answer, then] = await Promise.all([ask('/api/v1/map'), state.epoch === undefined ? undefined : ask(`/api/v1/map?epoch=${state.epoch}`)]);
+  const [answer, then] = await Promise.all([ask('api/v1/map'), state.epoch === undefined ? undefined : ask(`api/v1/map?epoch=${state.epoch}`)]);
   showTotals(then ?? answer);
   showProgress(answer);
   state.whole = then ?? answer;
@@ -62,13 +62,13 @@ async function loadMap() {
 async function loadFeeds() {
   // Fixes tell where somebody is: not all who may look at the map are told of them.
   const untold = (error) => (error.status === 403 ? { fixes: [] } : Promise.reject(error));
-  const [{ fixes }, { uploads }] = await Promise.all([ask(`/api/v1/fixes?limit=${KEPT}`).catch(untold), ask('/api/v1/uploads?limit=50')]);
+  const [{ fixes }, { uploads }] = await Promise.all([ask(`api/v1/fixes?limit=${KEPT}`).catch(untold), ask('api/v1/uploads?limit=50')]);
   Object.assign(state, { fixes, uploads: uploads.map(marked) });
   redraw();
 }
 
 async function loadDecisions() {
-  const [quarantine, past] = await Promise.all([ask('/api/v1/map/quarantine'), ask('/api/v1/map/history?limit=100')]);
+  const [quarantine, past] = await Promise.all([ask('api/v1/map/quarantine'), ask('api/v1/map/history?limit=100')]);
   // What says the same is left as it is: somebody may be about to press one of its buttons.
   const told = JSON.stringify([quarantine, past]);
   if (told === state.told) return;
@@ -107,7 +107,7 @@ const time = timeControls(
     await loadMap();
   }),
   quietly(async (epoch) => {
-    const change = epoch === undefined ? undefined : await ask(`/api/v1/map/diff?from=${epoch}&to=${state.history.newest}`);
+    const change = epoch === undefined ? undefined : await ask(`api/v1/map/diff?from=${epoch}&to=${state.history.newest}`);
     drawDifference(map, change);
   }),
 );
@@ -133,7 +133,7 @@ async function find(text) {
     goTo({ place: sought });
     await chooseAt({ lngLat: { lat: sought.lat, lng: sought.lon } });
   } else if (sought.tile) {
-    const tile = await ask(`/api/v1/tiles/${sought.tile}${epochQuery()}`);
+    const tile = await ask(`api/v1/tiles/${sought.tile}${epochQuery()}`);
     map.fitBounds([tile.corners[0], tile.corners[2]], { maxZoom: 19, animate: false });
     showTile(tile.corners[2], tile);
   } else {
@@ -226,7 +226,7 @@ async function chooseAt({ point, lngLat }) {
     return open([fix.longitude_deg, fix.latitude_deg], fixDetails(fix));
   }
   try {
-    const tile = await ask(`/api/v1/tiles/at?lat=${lngLat.lat.toFixed(7)}&lon=${wrapped(lngLat.lng).toFixed(7)}${epochQuery('&')}`);
+    const tile = await ask(`api/v1/tiles/at?lat=${lngLat.lat.toFixed(7)}&lon=${wrapped(lngLat.lng).toFixed(7)}${epochQuery('&')}`);
     showTile(lngLat, tile);
   } catch (error) {
     popup?.remove();
@@ -273,7 +273,7 @@ follow({
     showStream('lost');
     showStale();
     // A stream does not say why it is refused; this does, and asks for a sign-in if that is it.
-    ask('/api/v1/map').catch(() => {});
+    ask('api/v1/map').catch(() => {});
   },
   health: showHealth,
   map(progress) {

@@ -5,7 +5,10 @@ import { byId, calm } from './dom.js';
 import { position } from './format.js';
 import { addGraticule } from './graticule.js';
 
-setWorkerUrl(WORKER_URL);
+/** Where the service is: a proxy may show it below a path. */
+const HERE = new URL('.', document.baseURI).href;
+
+setWorkerUrl(HERE + WORKER_URL);
 
 /** The radar layers and the first zoom that shows each. */
 const FROM_ZOOM = { evidence: 0, coverage: 0, age: 0, localizability: 16 };
@@ -87,7 +90,7 @@ export function showEpoch(map, epoch, shown) {
   refresh(map, shown);
 }
 
-const address = (layer, query = '') => `${location.origin}/tiles/${layer}/{z}/{x}/{y}{ratio}.png${query}`;
+const address = (layer, query = '') => `${HERE}tiles/${layer}/{z}/{x}/{y}{ratio}.png${query}`;
 
 /** Asks again for the tiles in view; unchanged ones cost a short answer. */
 export function refresh(map, shown) {

@@ -37,7 +37,7 @@ const SILENT_MS = 4_500;
 export function follow(on) {
   let failures = 0;
   const connect = () => {
-    const source = new EventSource('/api/v1/events');
+    const source = new EventSource('api/v1/events');
     let silence;
     const wait = (ms) => {
       const from = Date.now();

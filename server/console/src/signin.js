@@ -20,7 +20,7 @@ async function ask() {
     if (!dialog.open) dialog.showModal();
     await new Promise((resolve) => dialog.addEventListener('close', resolve, { once: true }));
     if (dialog.returnValue !== 'yes') return;
-    const answer = await fetch('/session', {
+    const answer = await fetch('session', {
       method: 'POST', headers: { 'content-type': 'application/json' }, body: JSON.stringify({ token: token.value }),
     });
     if (answer.ok) return showWho();
@@ -31,7 +31,7 @@ async function ask() {
 
 /** Shows who is signed in, where somebody is. */
 async function showWho() {
-  const answer = await fetch('/session').catch(() => undefined);
+  const answer = await fetch('session').catch(() => undefined);
   const { name } = answer?.ok ? await answer.json() : {};
   byId('signout').hidden = !name;
   byId('signout').textContent = `Sign out ${name ?? ''}`;
@@ -40,7 +40,7 @@ async function showWho() {
 export function addSignIn() {
   onSignIn(signIn);
   byId('signout').addEventListener('click', async () => {
-    await fetch('/session', { method: 'DELETE' });
+    await fetch('session', { method: 'DELETE' });
     location.reload();
   });
   showWho();

@@ -4,6 +4,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
 use crate::grpc::INTEGRITY_RISKS;
+use crate::http::{is_base_path, is_origin};
 use crate::identity::{self, RatesConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
@@ -62,7 +63,7 @@ fn within(value: f64, most: f64) -> bool {
 }
 
 fn ports(config: &Config) -> Vec<Rule> {
-    let (grpc, HttpConfig { listen, hosts }) = (config.grpc.listen, &config.http);
+    let (grpc, HttpConfig { listen, hosts, base_path, cors_origins }) = (config.grpc.listen, &config.http);
     let apart = grpc != *listen || grpc.port() == 0;
     let name = |host: &String| {
         (1..=253).contains(&host.len())
@@ -77,6 +78,17 @@ fn ports(config: &Config) -> Vec<Rule> {
             "must be names such as `maps.example.com`, without scheme and path",
         ),
         ("http.hosts", hosts.iter().all(bare), "must be names without a port: every port of a name is taken"),
+        (
+            "http.base_path",
+            is_base_path(base_path),
+            "must be empty or a path such as `/echofix`: with a slash before each part, and none at the end",
+        ),
+        (
+            "http.cors_origins",
+            cors_origins.iter().all(|origin| is_origin(origin)),
+            "must be origins as browsers write them, such as `https://maps.example` or `http://localhost:3000`: in small \
+             letters, without a path, a slash at the end or the scheme's own port; or `*`",
+        ),
     ]
 }
 

@@ -117,6 +117,10 @@ pub struct HttpConfig {
     pub listen: SocketAddr,
     /// Names by which the port is reached, besides its address and `localhost`.
     pub hosts: Vec<String>,
+    /// The path under which proxies show the port: empty, or as `/echofix`.
+    pub base_path: String,
+    /// Other origins whose pages may ask, as `https://maps.example`; `*` for what viewers read.
+    pub cors_origins: Vec<String>,
 }
 
 /// When quarantined uploads make an alarm.

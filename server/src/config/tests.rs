@@ -155,6 +155,14 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
         ("http.hosts", "[\"maps.example.com:80\"]"),
         ("http.hosts", "[\"\"]"),
         ("http.hosts", "[1]"),
+        ("http.base_path", "echofix"),
+        ("http.base_path", "/echofix/"),
+        ("http.base_path", "//evil.example"),
+        ("http.base_path", "/a/../b"),
+        ("http.cors_origins", "[\"maps.example\"]"),
+        ("http.cors_origins", "[\"https://maps.example/\"]"),
+        ("http.cors_origins", "[\"null\"]"),
+        ("http.cors_origins", "[\"*\", \"\"]"),
         ("limits.stall_s", "601"),
     ];
     let cases = [each(&numbers, many), each(&floats, "1e17"), each(&floats, "nan"), others.to_vec()].concat();

@@ -1,11 +1,14 @@
 //! The page an operator looks at, embedded in the binary by the build script. Without the feature `console` a plain page
 //! stands in its place.
 
-use axum::extract::Path;
+use std::borrow::Cow;
+
+use axum::extract::{Extension, Path};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 
 use super::error::Error;
+use super::outside::Outside;
 
 #[cfg(feature = "console")]
 include!(concat!(env!("OUT_DIR"), "/console_assets.rs"));
@@ -20,7 +23,7 @@ const NOT_BUILT_IN: &[u8] = br#"<!doctype html>
 <meta charset="utf-8">
 <title>Echofix</title>
 <p>The console is not built into this service: it was compiled without the feature <code>console</code>.
-<p>What it would show is described in <a href="/openapi.json">/openapi.json</a>.
+<p>What it would show is described in <a href="openapi.json">openapi.json</a>.
 </html>
 "#;
 
@@ -35,11 +38,19 @@ struct Asset {
 /// Only our own scripts, styles and data; no frame may show the page.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; worker-src 'self'; \
     style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; font-src 'self'; manifest-src 'self'; \
-    base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+    base-uri 'self'; form-action 'none'; frame-ancestors 'none'";
 
-/// `GET /`
-pub async fn page(headers: HeaderMap) -> Result<Response, Error> {
-    serve("index.html", "no-cache", &headers)
+/// `GET /`. All that the page names is relative to it; where it is known under which path a proxy shows it, that is said, too:
+/// the browser may have asked for it without the slash at the end.
+pub async fn page(Extension(outside): Extension<Outside>, headers: HeaderMap) -> Result<Response, Error> {
+    if outside.prefix.is_empty() {
+        return serve("index.html", "no-cache", &headers);
+    }
+    let mut response = serve("index.html", "no-cache", &HeaderMap::new())?;
+    // A prefix is made of letters, digits and `/-_.~`: none ends the attribute.
+    let based = format!("<meta charset=\"utf-8\">\n<base href=\"{}/\">", outside.prefix);
+    *response.body_mut() = plain("index.html")?.replacen("<meta charset=\"utf-8\">", &based, 1).into();
+    Ok(response)
 }
 
 /// `GET /assets/{name}`: the name holds a hash of the content.
@@ -47,9 +58,18 @@ pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Respo
     serve(&format!("assets/{name}"), "public, max-age=31536000, immutable", &headers)
 }
 
-fn serve(name: &str, caching: &'static str, headers: &HeaderMap) -> Result<Response, Error> {
+/// The text of a file.
+fn plain(name: &str) -> Result<Cow<'static, str>, Error> {
+    Ok(String::from_utf8_lossy(asset_of(name)?.plain))
+}
+
+fn asset_of(name: &str) -> Result<&'static Asset, Error> {
     let missing = || Error::NotFound(format!("the console has no file `{name}`"));
-    let asset = ASSETS.iter().find(|asset| asset.name == name).ok_or_else(missing)?;
+    ASSETS.iter().find(|asset| asset.name == name).ok_or_else(missing)
+}
+
+fn serve(name: &str, caching: &'static str, headers: &HeaderMap) -> Result<Response, Error> {
+    let asset = asset_of(name)?;
     let common = [
         (header::CONTENT_TYPE, content_type(name)),
         (header::CACHE_CONTROL, caching),
@@ -121,7 +141,7 @@ mod tests {
     async fn everything_the_page_names_is_served() {
         let site = TestSite::default();
         let page = String::from_utf8(bytes_of(site.get("/").await).await.to_vec()).unwrap();
-        let named: Vec<_> = page.split('"').filter(|part| part.starts_with("/assets/")).collect();
+        let named: Vec<_> = page.split('"').filter(|part| part.starts_with("assets/")).collect();
         assert!(
             ["text/javascript", "text/css"]
                 .iter()
@@ -129,7 +149,7 @@ mod tests {
             "{named:?}"
         );
         for path in named {
-            let response = site.get(path).await;
+            let response = site.get(&format!("/{path}")).await;
             assert_eq!(response.status(), 200, "{path}");
             assert!(response.headers()["cache-control"].to_str().unwrap().contains("immutable"));
             assert!(response.headers().contains_key("content-security-policy"));

@@ -34,7 +34,8 @@ pub enum Error {
     WrongHost,
     /// Another page asks for it.
     #[error(
-        "a page of another origin asks for this; use the console of this port, or the command `echofix map`"
+        "a page of another origin asks for this; list its origin in `http.cors_origins` of the configuration, or use the console \
+         of this port or the command `echofix map`"
     )]
     WrongOrigin,
     /// Who asks is not known, or may not.

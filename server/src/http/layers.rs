@@ -10,9 +10,9 @@ use serde_json::json;
 
 use super::App;
 use super::error::Error;
+use super::outside::Outside;
 use super::past::EpochParameter;
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
-use crate::identity;
 use crate::shares::Peer;
 
 /// The whole of Web Mercator, for a map that is empty.
@@ -51,10 +51,9 @@ fn is_known(headers: &HeaderMap, tag: &str) -> bool {
 pub async fn tilejson(
     State(app): State<Arc<App>>,
     peer: Peer,
-    other_end: Option<Extension<Arc<identity::Peer>>>,
+    Extension(outside): Extension<Outside>,
     Path(file): Path<String>,
     epoch: EpochParameter,
-    headers: HeaderMap,
 ) -> Result<Response, Error> {
     let expected =
         || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
@@ -62,14 +61,13 @@ pub async fn tilejson(
     let of_epoch = epoch.as_ref().ok().and_then(|epoch| epoch.0.query()).unwrap_or_default();
     let artist = app.shown(peer, epoch).await?.artist;
     let overview = app.limiter.work(peer, move || artist.overview()).await?;
-    let own_scheme = if other_end.is_some_and(|end| end.encrypted) { "https" } else { "http" };
     let body = json!({
         "tilejson": "3.0.0",
         "name": format!("Echofix {layer}"),
         "description": layer.description(),
         "version": format!("1.0.{}", overview.epoch),
         "scheme": "xyz",
-        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", origin(&headers, own_scheme))],
+        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", outside.address())],
         "minzoom": layer.min_zoom(),
         "maxzoom": MAX_ZOOM,
         "bounds": overview.bounds().map_or(WORLD, in_one_world),
@@ -84,30 +82,6 @@ pub async fn tilejson(
 /// Bounds as readers of `TileJSON` take them, who know no box across the date line: all around the globe then.
 fn in_one_world([west, south, east, north]: [f64; 4]) -> [f64; 4] {
     if west <= east { [west, south, east, north] } else { [-180.0, south, 180.0, north] }
-}
-
-/// `http://host:port` as the client reached us, or nothing: then addresses are relative. `own_scheme` is this port's.
-fn origin(headers: &HeaderMap, own_scheme: &str) -> String {
-    let text = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
-    // Each proxy on the way adds its word behind those before: the first is what the client said.
-    let first = |list: &'static str| text(list).and_then(|list| list.split(',').next()).map(str::trim);
-    let forwarded = |key: &str| {
-        let pairs = first("forwarded")?.split(';').filter_map(|pair| pair.split_once('='));
-        let (_, value) = pairs.into_iter().find(|(name, _)| name.trim().eq_ignore_ascii_case(key))?;
-        Some(value.trim().trim_matches('"'))
-    };
-    let scheme = forwarded("proto").or_else(|| first("x-forwarded-proto"));
-    let scheme = scheme.filter(|scheme| ["http", "https"].contains(scheme)).unwrap_or(own_scheme);
-    let is_plain = |host: &&str| {
-        !host.is_empty() && host.bytes().all(|b| b.is_ascii_alphanumeric() || b".:-[]_".contains(&b))
-    };
-    let said = forwarded("host").or_else(|| first("x-forwarded-host")).filter(is_plain);
-    let host = said.or_else(|| text("host").filter(is_plain));
-    let is_path = |path: &&str| {
-        path.starts_with('/') && path.bytes().all(|b| b.is_ascii_alphanumeric() || b"/-_.~".contains(&b))
-    };
-    let prefix = first("x-forwarded-prefix").filter(is_path).unwrap_or_default().trim_end_matches('/');
-    host.map_or_else(|| prefix.to_owned(), |host| format!("{scheme}://{host}{prefix}"))
 }
 
 #[cfg(test)]

@@ -3,6 +3,8 @@
 //! - `access`: who asks, and whether they may.
 //! - `session`: browsers sign in and out.
 //! - `error`: why a request was not answered, said once.
+//! - `outside`: how callers address the port, with proxies in front.
+//! - `cors`: which pages of other origins may ask it.
 //! - `origin`: which names the port answers to, and which pages may change anything.
 //! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
@@ -25,6 +27,7 @@ mod access;
 mod catalog;
 mod console;
 mod contributor;
+mod cors;
 mod day;
 mod decisions;
 mod error;
@@ -37,6 +40,7 @@ mod meridians;
 mod openapi;
 mod operations;
 mod origin;
+mod outside;
 mod past;
 mod probes;
 mod quarantine;
@@ -54,6 +58,8 @@ use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodRouter, get, post};
 use echofix_core::vetting::alarm::AlarmLimits;
 use tokio::sync::watch;
+use tower::Layer;
+use tower::util::MapRequestLayer;
 
 use crate::feed::Feed;
 use crate::health::Health;
@@ -62,8 +68,10 @@ use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
+pub use cors::{Origins, is_origin};
 use error::Error;
 pub use origin::Hosts;
+pub use outside::is_base_path;
 pub use quarantine::quarantine_event;
 
 /// What the routes answer from.
@@ -91,6 +99,25 @@ pub struct HttpState {
     pub ending: watch::Receiver<bool>,
 }
 
+/// Where the port is found, and by whose pages.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The names that it answers to.
+    pub hosts: Hosts,
+    /// The path under which proxies show it: empty, or without a slash at its end.
+    pub base_path: String,
+    /// Other origins whose pages may ask it.
+    pub origins: Origins,
+}
+
+impl Place {
+    /// Whatever name, at the root, for pages of its own.
+    #[must_use]
+    pub fn any() -> Self {
+        Self { hosts: Hosts::any(), base_path: String::new(), origins: Origins::default() }
+    }
+}
+
 /// The state of the routes: what they answer from, what they keep, what they may use.
 struct App {
     state: HttpState,
@@ -102,25 +129,33 @@ struct App {
 
 /// The routes, whatever name they are asked for by, and by whomever.
 pub fn router(state: HttpState) -> Router {
-    router_at(state, Hosts::any(), Arc::new(Gate::open()))
+    router_at(state, Place::any(), Arc::new(Gate::open()))
 }
 
 /// The routes of a port, ready to be served.
-pub fn router_at(state: HttpState, hosts: Hosts, gate: Arc<Gate>) -> Router {
+pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let (past, limiter) = (past::PastMaps::default(), limits::Limiter::of_port(state.address_share));
     let app = Arc::new(App { state, artist, past, limiter, gate });
-    routes()
+    let (cors, base_path) = (place.origins.layer(), place.base_path.clone());
+    let routes = routes()
         .into_iter()
         .fold(Router::new(), |router, (path, handler)| router.route(path, handler))
         .fallback(async || Error::NotFound("nothing is served here; see /openapi.json".to_owned()))
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
         .layer(from_fn_with_state(Arc::clone(&app), access::guard))
-        .layer(from_fn_with_state(Arc::new(hosts), origin::guard))
-        .layer(from_fn(limits::guard))
-        .layer(RequestSpanLayer::http())
-        .with_state(app)
+        .layer(from_fn_with_state(Arc::new(place), origin::guard))
+        .layer(from_fn(limits::guard));
+    // Before anybody is asked who asks: a browser's question whether a page may ask carries nothing that says so.
+    let routes = if let Some(cors) = cors { routes.layer(cors) } else { routes };
+    let routes = routes.layer(RequestSpanLayer::http()).with_state(app);
+    if base_path.is_empty() {
+        return routes;
+    }
+    // Around the routes, which are chosen by the path that is left.
+    let mounted = MapRequestLayer::new(move |request| outside::unmounted(&base_path, request)).layer(routes);
+    Router::new().fallback_service(mounted)
 }
 
 /// The paths of all routes, parameters in braces. Those that change the map answer POST, the others GET

@@ -6,12 +6,16 @@
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
-use axum::extract::{Request, State};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use super::Place;
 use super::error::Error;
+use super::outside::Outside;
+use crate::identity::access::{Access, Call, of};
+use crate::identity::{self, Role};
 
 /// Probes, which are sent to whatever name or address a machine has and tell nothing.
 const PROBES: [&str; 2] = ["/healthz", "/readyz"];
@@ -34,7 +38,7 @@ impl Hosts {
     }
 
     /// Is the host, with or without a port, one of these?
-    fn know(&self, host: &str) -> bool {
+    pub(super) fn know(&self, host: &str) -> bool {
         let Some((bound, names)) = &self.0 else { return true };
         let name = name_of(host).to_ascii_lowercase();
         if names.contains(&name) || name == "localhost" {
@@ -60,14 +64,19 @@ fn bare(name: &str) -> &str {
 }
 
 /// Refuses requests for another name, and changes that another page asks for.
-pub async fn guard(State(hosts): State<Arc<Hosts>>, request: Request, next: Next) -> Response {
-    match checked(&hosts, &request) {
+pub async fn guard(State(place): State<Arc<Place>>, mut request: Request, next: Next) -> Response {
+    let encrypted = request.extensions().get::<Arc<identity::Peer>>().is_some_and(|peer| peer.encrypted);
+    let outside = Outside::of(&request, encrypted, &place.hosts, &place.base_path);
+    let checked = checked(&place, &request, &outside);
+    request.extensions_mut().insert(outside);
+    match checked {
         Ok(()) => next.run(request).await,
         Err(error) => error.into_response(),
     }
 }
 
-fn checked(hosts: &Hosts, request: &Request) -> Result<(), Error> {
+fn checked(place: &Place, request: &Request, outside: &Outside) -> Result<(), Error> {
+    let Place { hosts, origins, .. } = place;
     let path = request.uri().path();
     if PROBES.contains(&path) {
         return Ok(());
@@ -80,25 +89,39 @@ fn checked(hosts: &Hosts, request: &Request) -> Result<(), Error> {
     if stranger || headers.get_all(header::HOST).iter().count() > 1 {
         return Err(Error::WrongHost);
     }
+    let own = is_own(headers, [in_header.or(in_address), outside.host.as_deref()]);
+    if !own && text(headers, header::ORIGIN.as_str()).is_some_and(|origin| origins.list(origin)) {
+        return Ok(());
+    }
     let site = text(headers, "sec-fetch-site").unwrap_or("none");
     let reads = [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method());
-    // Even a picture of another page could start work, or read what it may not.
+    if !reads {
+        let moved = !["same-origin", "none"].contains(&site);
+        return if moved || !own { Err(Error::WrongOrigin) } else { Ok(()) };
+    }
+    // Even a picture of another page could start work, or read what it may not. Not all browsers say which page it is of.
     let works = path.starts_with("/api/") || (path.starts_with("/tiles/") && request.uri().query().is_some());
-    let foreign = site == "cross-site" && works;
-    let moved = !reads && !["same-origin", "none"].contains(&site);
-    if foreign || moved || (!reads && !is_own(headers, in_header.or(in_address))) {
+    let foreign = works && (site == "cross-site" || !own);
+    if foreign && !(origins.let_all_read() && is_for_viewers(request)) {
         return Err(Error::WrongOrigin);
     }
     Ok(())
 }
 
-/// Does the request come from no page, or from one of the host it is sent to?
-fn is_own(headers: &HeaderMap, host: Option<&str>) -> bool {
+/// Is it a route that takes a viewer at most? Where nobody is asked, pages could read the rest as well: backups hold a key.
+fn is_for_viewers(request: &Request) -> bool {
+    let route = request.extensions().get::<MatchedPath>();
+    let access = route.and_then(|route| of(Call::Http("GET", route.as_str())));
+    matches!(access, Some(Access::Open | Access::Metrics | Access::Least(Role::Viewer)))
+}
+
+/// Does the request come from no page, or from one of the hosts it is sent to: here, or to a proxy in front?
+fn is_own(headers: &HeaderMap, hosts: [Option<&str>; 2]) -> bool {
     let mut origins = headers.get_all(header::ORIGIN).iter();
     let Some(origin) = origins.next() else { return true };
     let authority = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, rest)| rest);
-    let same = authority.zip(host).is_some_and(|(origin, host)| origin.eq_ignore_ascii_case(host));
-    same && origins.next().is_none()
+    let is = |host: &str| authority.is_some_and(|origin| origin.eq_ignore_ascii_case(host));
+    hosts.into_iter().flatten().any(is) && origins.next().is_none()
 }
 
 /// A header that is text; one that is not counts as a name nobody knows.
@@ -115,7 +138,9 @@ mod tests {
         let hosts = Hosts::of("127.0.0.1:8080".parse().unwrap(), &["maps.example.com".to_owned()]);
         let request = Request::builder().method(method).uri(path);
         let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
-        let checked = checked(&hosts, &request.body(Body::empty()).unwrap());
+        let place = Place { hosts, ..Place::any() };
+        let request = request.body(Body::empty()).unwrap();
+        let checked = checked(&place, &request, &Outside::of(&request, false, &place.hosts, ""));
         checked.map_err(|error| error.into_response().status().as_u16())
     }
 
@@ -162,6 +187,10 @@ mod tests {
         }
         assert_eq!(post(&[("sec-fetch-site", "cross-site")]), Err(403));
         assert_eq!(post(&[("sec-fetch-site", "same-site")]), Err(403));
+        let proxied = [("x-forwarded-host", "maps.example.com"), ("origin", "https://maps.example.com")];
+        assert_eq!(post(&proxied), Ok(()), "the console behind a proxy that asks by another name");
+        let stranger = [("x-forwarded-host", "evil.example"), ("origin", "https://evil.example")];
+        assert_eq!(post(&stranger), Err(403));
         let picture = [("host", "localhost"), ("sec-fetch-site", "cross-site")];
         assert_eq!(asked(Method::GET, "/api/v1/map/verify", &picture), Err(403));
         assert_eq!(asked(Method::GET, "/", &picture), Ok(()), "a link to the console is one");

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 
 use super::App;
 use super::error::Error;
-use crate::identity::{Caller, Peer, Role};
+use super::outside::Outside;
+use crate::identity::{Caller, CookieScope, Peer, Role};
 
 /// With what a browser signs in.
 #[derive(Deserialize)]
@@ -33,19 +34,31 @@ pub async fn who(Extension(caller): Extension<Arc<Caller>>) -> Response {
 pub async fn sign_in(
     State(app): State<Arc<App>>,
     peer: OnPeer,
+    Extension(outside): Extension<Outside>,
     body: Result<Json<SessionBody>, JsonRejection>,
 ) -> Result<Response, Error> {
     let Json(SessionBody { token }) = body?;
-    let (caller, cookie) = app.gate.sign_in(token.trim(), peer.as_deref().map(|peer| &**peer))?;
+    let (caller, cookie) =
+        app.gate.sign_in(token.trim(), peer.as_deref().map(|peer| &**peer), scope(&outside))?;
     tracing::info!(%caller, "signed in");
     let headers = [(header::CACHE_CONTROL, "no-store".to_owned()), (header::SET_COOKIE, cookie)];
     Ok((headers, Json(caller_json(&caller))).into_response())
 }
 
 /// `DELETE /session`
-pub async fn sign_out(State(app): State<Arc<App>>, peer: OnPeer, headers: HeaderMap) -> Response {
-    let cookie = app.gate.sign_out(peer.as_deref().map(|peer| &**peer), &headers);
+pub async fn sign_out(
+    State(app): State<Arc<App>>,
+    peer: OnPeer,
+    Extension(outside): Extension<Outside>,
+    headers: HeaderMap,
+) -> Response {
+    let cookie = app.gate.sign_out(peer.as_deref().map(|peer| &**peer), &headers, scope(&outside));
     (StatusCode::NO_CONTENT, [(header::SET_COOKIE, cookie)]).into_response()
+}
+
+/// Other programs of a proxy's name are not sent this one's sessions.
+fn scope(outside: &Outside) -> CookieScope<'_> {
+    CookieScope { path: &outside.prefix, encrypted: outside.encrypted }
 }
 
 fn caller_json(caller: &Caller) -> Value {

@@ -247,31 +247,47 @@ impl Gate {
     ///
     /// # Errors
     /// When the token is not known, or the system has no randomness.
-    pub fn sign_in(&self, token: &str, peer: Option<&Peer>) -> Result<(Caller, String), Refusal> {
+    pub fn sign_in(
+        &self,
+        token: &str,
+        peer: Option<&Peer>,
+        scope: CookieScope<'_>,
+    ) -> Result<(Caller, String), Refusal> {
         let hash = hash_of(token);
         let caller = self.holder(hash, peer);
         let caller = caller.ok_or_else(|| refused("this token is not known; ask an operator for another"))?;
         let id = self.sessions.begin(hash, Instant::now());
         let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
         let lasts = super::sessions::LASTS.as_secs();
-        Ok((caller, cookie(&id, lasts, self.is_encrypted(peer))))
+        Ok((caller, cookie(&id, lasts, self.within(scope, peer))))
     }
 
     /// Ends the session of a request; returns the cookie that says so to the browser.
-    pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap) -> String {
+    pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap, scope: CookieScope<'_>) -> String {
         session(headers).inspect(|id| self.sessions.end(id));
-        cookie("", 0, self.is_encrypted(peer))
+        cookie("", 0, self.within(scope, peer))
     }
 
     /// Is a browser's connection encrypted, here or by something in front?
-    fn is_encrypted(&self, peer: Option<&Peer>) -> bool {
-        self.identity.plaintext || peer.is_some_and(|peer| peer.encrypted)
+    fn within<'a>(&self, scope: CookieScope<'a>, peer: Option<&Peer>) -> CookieScope<'a> {
+        let encrypted = scope.encrypted || self.identity.plaintext || peer.is_some_and(|peer| peer.encrypted);
+        CookieScope { encrypted, ..scope }
     }
 }
 
-fn cookie(id: &str, lasts_s: u64, encrypted: bool) -> String {
+/// Where a browser's cookie goes.
+#[derive(Debug, Clone, Copy)]
+pub struct CookieScope<'a> {
+    /// The path under which the port is shown; empty for the root.
+    pub path: &'a str,
+    /// Whether what is in front says that the browser's connection is encrypted.
+    pub encrypted: bool,
+}
+
+fn cookie(id: &str, lasts_s: u64, CookieScope { path, encrypted }: CookieScope<'_>) -> String {
     let secure = if encrypted { "; Secure" } else { "" };
-    format!("{COOKIE}={id}; Path=/; Max-Age={lasts_s}; HttpOnly; SameSite=Strict{secure}")
+    let path = if path.is_empty() { "/" } else { path };
+    format!("{COOKIE}={id}; Path={path}; Max-Age={lasts_s}; HttpOnly; SameSite=Strict{secure}")
 }
 
 fn refused(why: &str) -> Refusal {

@@ -29,7 +29,7 @@ pub mod tokens;
 pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
-pub use gate::{Gate, Refusal};
+pub use gate::{CookieScope, Gate, Refusal};
 pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;

@@ -1,6 +1,7 @@
 //! The operators' port.
 
 use std::convert::Infallible;
+use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
@@ -17,8 +18,8 @@ use tokio_stream::StreamExt;
 
 use super::connections::{Acceptor, Door, InUse};
 use super::{LATE_FRAMES, ServiceContext, ended};
-use crate::config::LimitsConfig;
-use crate::http::{Hosts, HttpState, router_at};
+use crate::config::{HttpConfig, LimitsConfig};
+use crate::http::{Hosts, HttpState, Origins, Place, router_at};
 use crate::identity::Port;
 use crate::pace::PacedBody;
 
@@ -43,7 +44,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
-        Ok(bound) => router_at(state, Hosts::of(bound, &config.http.hosts), gate.clone()),
+        Ok(bound) => router_at(state, place(bound, &config.http), gate.clone()),
         Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
     };
     let routes = TowerToHyperService::new(routes);
@@ -78,6 +79,12 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     }
     drop(connections);
     graceful.shutdown().await;
+}
+
+/// Where the port is found, and by whose pages.
+fn place(bound: SocketAddr, config: &HttpConfig) -> Place {
+    let HttpConfig { hosts, base_path, cors_origins, .. } = config;
+    Place { hosts: Hosts::of(bound, hosts), base_path: base_path.clone(), origins: Origins::of(cors_origins) }
 }
 
 fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {
