@@ -3,10 +3,11 @@
 //! Kept in memory only, bounded, and without any vehicle's name: a feed, not a record.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
-use tokio::sync::broadcast;
+
+use crate::event_log::EventLog;
 
 /// Events in memory for a page that opens late.
 const RECENT: usize = 500;
@@ -89,11 +90,15 @@ pub struct Feed {
     pub uploads: Channel<UploadEvent>,
     /// Uploads that vetting kept out of the map.
     pub quarantined: Channel<QuarantineEvent>,
+    /// All of these in the order in which they happened, for those who listen.
+    pub events: Arc<EventLog>,
 }
 
 impl Default for Feed {
     fn default() -> Self {
-        Self { fixes: Channel::new(), uploads: Channel::new(), quarantined: Channel::new() }
+        let events: Arc<EventLog> = Arc::default();
+        let (fixes, uploads) = (Channel::new("fix", &events), Channel::new("upload", &events));
+        Self { fixes, uploads, quarantined: Channel::new("quarantine", &events), events }
     }
 }
 
@@ -123,15 +128,16 @@ impl Feed {
     }
 }
 
-/// A bounded memory of events and a broadcast of new ones.
+/// A bounded memory of events of a kind, which are told to listeners, too.
 pub struct Channel<T> {
+    kind: &'static str,
     recent: Mutex<VecDeque<T>>,
-    live: broadcast::Sender<T>,
+    events: Arc<EventLog>,
 }
 
-impl<T: Clone> Channel<T> {
-    fn new() -> Self {
-        Self { recent: Mutex::new(VecDeque::with_capacity(RECENT)), live: broadcast::Sender::new(256) }
+impl<T: Clone + Serialize> Channel<T> {
+    fn new(kind: &'static str, events: &Arc<EventLog>) -> Self {
+        Self { kind, recent: Mutex::new(VecDeque::with_capacity(RECENT)), events: Arc::clone(events) }
     }
 
     /// Adds an event and sends it to the listeners.
@@ -140,9 +146,8 @@ impl<T: Clone> Channel<T> {
         if recent.len() == RECENT {
             recent.pop_front();
         }
-        recent.push_back(event.clone());
-        // To have no listeners is no error.
-        let _ = self.live.send(event);
+        self.events.add(self.kind, &event);
+        recent.push_back(event);
     }
 
     /// Is there such an event among those that are remembered?
@@ -159,11 +164,6 @@ impl<T: Clone> Channel<T> {
     pub fn recent(&self, limit: usize) -> Vec<T> {
         let recent = self.lock();
         recent.iter().skip(recent.len().saturating_sub(limit)).cloned().collect()
-    }
-
-    /// Events from now on; a slow listener misses some.
-    pub fn subscribe(&self) -> broadcast::Receiver<T> {
-        self.live.subscribe()
     }
 
     fn lock(&self) -> MutexGuard<'_, VecDeque<T>> {
@@ -210,12 +210,11 @@ mod tests {
 
     #[test]
     fn the_memory_is_bounded_and_keeps_the_newest() {
-        let channel = Channel::new();
-        let mut listener = channel.subscribe();
+        let channel = Channel::new("number", &Arc::default());
         (0..RECENT + 10).for_each(|i| channel.publish(i));
         assert_eq!(channel.recent(2), [RECENT + 8, RECENT + 9]);
         assert_eq!(channel.recent(usize::MAX).len(), RECENT);
-        assert!(listener.try_recv().is_err(), "a listener that slept learns that it missed events");
+        assert_eq!(channel.events.newest(), RECENT as u64 + 10, "listeners are told of all");
         channel.amend(|event| *event += 1000);
         assert_eq!(channel.recent(1), [RECENT + 1009]);
     }

@@ -15,13 +15,17 @@
 //! - [`mapping`]: what an upload must fulfil.
 //! - [`locating`]: from a request to a fix.
 //! - [`store`]: the map and the journal it is folded from.
+//! - [`event_log`]: what happened of late, numbered, for those who listen.
+//! - [`access_log`]: one line a call.
 //! - [`feed`]: the last fixes and uploads, for operators to watch; in memory only.
 //! - [`health`]: is the service alive, is it ready, and if not, why.
 //! - [`metrics`]: what the service counts.
 //! - [`trace`]: an id and a span for every request, in every log line that belongs to it.
 
+pub mod access_log;
 pub mod args;
 pub mod config;
+pub mod event_log;
 pub mod feed;
 pub mod grpc;
 pub mod health;

@@ -9,6 +9,11 @@ use clap::Parser;
 use echofix_server::args::ServeArgs;
 use echofix_server::{config, log, run};
 
+/// Set by whoever builds it.
+const COMMIT: &str = match option_env!("ECHOFIX_COMMIT") {
+    Some(commit) => commit,
+    None => "unknown",
+};
 /// Work that still holds a thread at the end gets this long.
 const LAST_WORK: Duration = Duration::from_secs(1);
 
@@ -44,7 +49,7 @@ fn run() -> Result<(), Box<dyn Error>> {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
     log::init(&config.log)?;
-    let served = runtime.block_on(run::serve(config, args.serve.addr_file.as_deref(), ended));
+    let served = runtime.block_on(run::serve(config, COMMIT, args.serve.addr_file.as_deref(), ended));
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

@@ -37,15 +37,26 @@ fn request_id(headers: &HeaderMap) -> HeaderValue {
 }
 
 /// How a port names its calls.
-#[derive(Debug, Clone, Copy)]
-enum Port {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Port {
+    /// By the path of the method.
     Grpc,
+    /// By the route.
     Http,
 }
 
 impl Port {
+    /// Its word in the log.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Grpc => "grpc",
+            Self::Http => "http",
+        }
+    }
+
     /// The call as its definition names it. What a caller may put into an address stays out: positions and ids do.
-    fn call<B>(self, request: &Request<B>) -> &str {
+    pub fn call<B>(self, request: &Request<B>) -> &str {
         match self {
             Self::Grpc => {
                 let path = request.uri().path();

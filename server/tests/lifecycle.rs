@@ -93,7 +93,7 @@ async fn the_address_file_names_both_ports() {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
-    serve(config(dir.path(), &[]), Some(&file), written).await.unwrap();
+    serve(config(dir.path(), &[]), "0123abc", Some(&file), written).await.unwrap();
     let addresses: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     for port in ["grpc", "http"] {
         assert!(addresses[port].as_str().unwrap().starts_with("127.0.0.1:"), "{addresses}");

@@ -98,19 +98,30 @@ pub fn metric(text: &str, name_and_labels: &str) -> f64 {
 /// An open stream of server-sent events.
 pub struct Events {
     lines: Box<dyn BufRead + Send>,
+    /// The id of the last event that was read; empty before the first.
+    pub id: String,
 }
 
 impl Events {
     /// Listens; an event must come within `patience` of the start.
     pub fn listen(url: &str, patience: Duration) -> Self {
-        let response = agent(patience).get(url).call().unwrap_or_else(|error| panic!("no {url}: {error}"));
+        Self::of(agent(patience).get(url), url)
+    }
+
+    /// The same for one who was told the event of an id before.
+    pub fn resume(url: &str, id: &str, patience: Duration) -> Self {
+        Self::of(agent(patience).get(url).header("last-event-id", id), url)
+    }
+
+    fn of(request: ureq::RequestBuilder<ureq::typestate::WithoutBody>, url: &str) -> Self {
+        let response = request.call().unwrap_or_else(|error| panic!("no {url}: {error}"));
         assert_eq!(response.status(), 200);
-        Self { lines: Box::new(BufReader::new(response.into_body().into_reader())) }
+        Self { lines: Box::new(BufReader::new(response.into_body().into_reader())), id: String::new() }
     }
 
     /// The next event of a name.
     pub fn next(&mut self, name: &str) -> Value {
-        let (mut event, mut line) = (String::new(), String::new());
+        let (mut event, mut data, mut line) = (String::new(), String::new(), String::new());
         loop {
             line.clear();
             let read =
@@ -118,8 +129,12 @@ impl Events {
             assert!(read > 0, "the stream of events ended before a `{name}` came");
             if let Some(name) = line.strip_prefix("event:") {
                 name.trim().clone_into(&mut event);
-            } else if let Some(data) = line.strip_prefix("data:").filter(|_| event == name) {
-                return serde_json::from_str(data).expect("an event carries JSON");
+            } else if let Some(id) = line.strip_prefix("id:") {
+                id.trim().clone_into(&mut self.id);
+            } else if let Some(text) = line.strip_prefix("data:") {
+                text.clone_into(&mut data);
+            } else if line.trim().is_empty() && event == name {
+                return serde_json::from_str(&data).expect("an event carries JSON");
             }
         }
     }

@@ -42,7 +42,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             () = stdin_closed(), if *end_with_stdin => {}
         }
     };
-    let served = runtime.block_on(service::serve(config, args.addr_file.as_deref(), ended));
+    let served = runtime.block_on(service::serve(
+        config,
+        env!("ECHOFIX_BUILT_FROM"),
+        args.addr_file.as_deref(),
+        ended,
+    ));
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

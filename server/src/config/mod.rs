@@ -2,6 +2,7 @@
 //! overlay it, the last one winning. Unknown keys are an error with a hint.
 
 mod check;
+mod differences;
 mod overlay;
 
 use std::net::SocketAddr;
@@ -16,6 +17,7 @@ use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 use crate::pace::Pace;
 use crate::store::TableEngine;
+pub use differences::without_credentials;
 use overlay::Layered;
 
 /// The shipped file: every key, its default and its meaning.
@@ -273,6 +275,8 @@ pub struct LogConfig {
     pub format: LogFormat,
     /// Which events, as `tracing-subscriber` understands it.
     pub filter: String,
+    /// Whether each call has a line, with the target `access`.
+    pub access: bool,
 }
 
 /// The look of a log line.

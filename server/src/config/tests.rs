@@ -146,6 +146,7 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
         ("store.url", "file:"),
         ("store.data_dir", ""),
         ("store.data_dir", "  "),
+        ("log.access", "yes"),
         ("log.filter", "%%%"),
         ("log.filter", "info,%%%"),
         ("log.filter", ""),

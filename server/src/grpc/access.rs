@@ -8,6 +8,7 @@ use tonic::{Code, Status};
 
 use super::heads::Look;
 use super::status;
+use crate::access_log::NotedRoles;
 use crate::identity::access::Call;
 use crate::identity::{Caller, Gate, Peer, Rated, Rates, Refusal};
 
@@ -36,6 +37,13 @@ impl Access {
     fn admit<B>(&self, request: &Request<B>) -> Result<Caller, Status> {
         let (path, peer) = (request.uri().path(), request.extensions().get::<Arc<Peer>>().map(Arc::as_ref));
         let caller = self.gate.admit(Call::Rpc(path), peer, request.headers());
+        let roles = match &caller {
+            Ok(Caller { roles, .. }) | Err(Refusal::Forbidden { roles, .. }) => Some(*roles),
+            Err(_) => None,
+        };
+        if let Some(roles) = roles {
+            NotedRoles::note(request, roles);
+        }
         let caller = caller.map_err(|refusal| refused(&refusal))?;
         let rated = match path {
             "/echofix.v1.LocalizationService/Localize" => Some(Rated::Localize),

@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::App;
 use super::error::Error;
+use crate::access_log::NotedRoles;
 use crate::identity::access::{Call, methods};
 use crate::identity::{Peer, Refusal};
 
@@ -23,11 +24,17 @@ pub async fn guard(State(app): State<Arc<App>>, mut request: Request, next: Next
     let peer = request.extensions().get::<Arc<Peer>>().map(Arc::as_ref);
     match app.gate.admit(call, peer, request.headers()) {
         Ok(caller) => {
+            NotedRoles::note(&request, caller.roles);
             request.extensions_mut().insert(Arc::new(caller));
             next.run(request).await
         }
         Err(Refusal::NotServed) => not_served(route.as_str()),
-        Err(refusal) => Error::from(refusal).into_response(),
+        Err(refusal) => {
+            if let Refusal::Forbidden { roles, .. } = &refusal {
+                NotedRoles::note(&request, *roles);
+            }
+            Error::from(refusal).into_response()
+        }
     }
 }
 

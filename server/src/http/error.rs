@@ -71,6 +71,9 @@ pub enum Error {
     /// The store refused.
     #[error("the map store: {0}")]
     Store(Arc<store::Error>),
+    /// What several requests waited for failed.
+    #[error(transparent)]
+    Shared(Arc<Error>),
     /// Our own failure.
     #[error("{0}")]
     Internal(String),
@@ -97,6 +100,7 @@ impl Error {
                 store::Error::Unknown(_) => StatusCode::NOT_FOUND,
                 _ => StatusCode::INTERNAL_SERVER_ERROR,
             },
+            Self::Shared(error) => error.status(),
             Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }
@@ -123,6 +127,7 @@ impl Error {
                 store::Error::Unknown(_) => "not_found",
                 _ => "store",
             },
+            Self::Shared(error) => error.code(),
             Self::Internal(_) => "internal",
         }
     }

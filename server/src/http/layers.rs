@@ -58,7 +58,7 @@ pub async fn tilejson(
     let expected =
         || Error::NotFound(format!("`{file}` is not a layer's description; expected <layer>.json"));
     let layer: Layer = file.strip_suffix(".json").ok_or_else(expected)?.parse()?;
-    let of_epoch = epoch.as_ref().ok().and_then(|epoch| epoch.0.query()).unwrap_or_default();
+    let of_epoch = epoch.query().unwrap_or_default();
     let artist = app.shown(peer, epoch).await?.artist;
     let overview = app.limiter.work(peer, move || artist.overview()).await?;
     let body = json!({

@@ -1,22 +1,26 @@
 //! The last fixes and uploads, and the stream of new ones.
 
 use std::convert::Infallible;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Extension, Query, State};
-use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::http::HeaderMap;
+use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use tokio::sync::broadcast::Receiver;
-use tokio_stream::wrappers::{BroadcastStream, WatchStream};
+use tokio::time::{Instant, interval_at};
+use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
 use super::error::Error;
 use super::operations::fresh;
 use super::{App, catalog, probes};
+use crate::event_log::{EventLog, NumberedEvent};
 use crate::identity::{Caller, Role};
 use crate::shares::Peer;
 
@@ -56,60 +60,119 @@ pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Resu
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only
 /// operators are told of them.
+///
+/// Every event has an id: that of the last thing that happened before it or with it. A listener that names one as
+/// `Last-Event-ID` is told what happened since, or that it cannot be told.
 pub async fn events(
     State(app): State<Arc<App>>,
     peer: Peer,
     Extension(caller): Extension<Arc<Caller>>,
+    headers: HeaderMap,
 ) -> Result<impl IntoResponse, Error> {
     let permit = app.limiter.listen(peer)?;
-    let feed = &app.state.feed;
+    let log = Arc::clone(&app.state.feed.events);
     let sees_fixes = caller.may(Role::Operator);
-    let map =
-        WatchStream::new(app.state.store.progress()).map(|now| event("map", &catalog::progress_json(&now)));
+    let map = WatchStream::new(app.state.store.progress())
+        .map(|now| Told::state("map", &catalog::progress_json(&now)));
     let progress = app.state.store.progress();
     let health = WatchStream::new(app.state.health.follow())
-        .map(move |now| event("health", &probes::readiness_json(&now, &progress.borrow())));
-    let stream = map
-        .merge(health)
-        .merge(feed_events("fix", feed.fixes.subscribe()).filter(move |_| sees_fixes))
-        .merge(feed_events("upload", feed.uploads.subscribe()))
-        .merge(feed_events("quarantine", feed.quarantined.subscribe()))
-        .map(Some);
+        .map(move |now| Told::state("health", &probes::readiness_json(&now, &progress.borrow())));
+    // An event and no comment: a page does not hear comments, and shall notice when nobody speaks any more.
+    let alive = IntervalStream::new(interval_at(Instant::now() + ALIVE, ALIVE)).map(|_| Told::alive());
+    let asked = headers.get("last-event-id").map(|id| id.to_str().ok().and_then(|id| log.number(id)));
+    let (unknown, mut last) = (asked == Some(None), asked.flatten().unwrap_or_else(|| log.newest()));
+    let unknown = unknown.then(|| Told::missed(None, "OTHER_RUN"));
+    let listener = tokio_stream::iter(unknown).chain(Listener::after(last, Arc::clone(&log)));
+    let stream = listener.merge(map).merge(health).merge(alive).filter_map(move |told| {
+        last = told.number.unwrap_or(last);
+        (told.kind != "fix" || sees_fixes).then(|| Some(told.event(log.id(last))))
+    });
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {
         // The permit is returned when the stream ends.
         let _held = &permit;
         event.map(Ok::<_, Infallible>)
     });
-    // An event and no comment: a page does not hear comments, and shall notice when nobody speaks any more.
-    let alive = KeepAlive::new().interval(ALIVE).event(Event::default().event("alive").data(""));
-    let sse = Sse::new(stream).keep_alive(alive);
-    Ok(([("x-accel-buffering", "no")], sse))
+    Ok(([("x-accel-buffering", "no")], Sse::new(stream)))
 }
 
-/// Events of a feed; a listener that was too slow gets the number it missed.
-fn feed_events<T>(name: &'static str, feed: Receiver<T>) -> impl Stream<Item = Event>
-where
-    T: Serialize + Clone + Send + 'static,
-{
-    BroadcastStream::new(feed).map(move |next| match next {
-        Ok(item) => event(name, &item),
-        Err(tokio_stream::wrappers::errors::BroadcastStreamRecvError::Lagged(missed)) => {
-            event("missed", &json!({ "event": name, "count": missed }))
+/// What a listener is told.
+struct Told {
+    kind: &'static str,
+    data: String,
+    /// Of what happened; what only says how things are has none.
+    number: Option<u64>,
+}
+
+impl Told {
+    fn state(kind: &'static str, body: &impl Serialize) -> Self {
+        // Our own plain structs always have a JSON form.
+        Self { kind, data: serde_json::to_string(body).unwrap_or_default(), number: None }
+    }
+
+    fn alive() -> Self {
+        Self { kind: "alive", data: String::new(), number: None }
+    }
+
+    /// So many events are not told: `TOO_OLD` is no longer kept, `OTHER_RUN` happened before the service was started.
+    fn missed(count: Option<u64>, reason: &'static str) -> Self {
+        Self::state("missed", &json!({ "count": count, "reason": reason }))
+    }
+
+    fn event(self, id: String) -> Event {
+        Event::default().event(self.kind).id(id).data(self.data)
+    }
+}
+
+/// What happens after a number, in order; what is gone before it was told is counted.
+struct Listener {
+    log: Arc<EventLog>,
+    moved: WatchStream<u64>,
+    last: u64,
+    next: std::vec::IntoIter<Arc<NumberedEvent>>,
+}
+
+impl Listener {
+    fn after(last: u64, log: Arc<EventLog>) -> Self {
+        Self { moved: WatchStream::new(log.follow()), log, last, next: Vec::new().into_iter() }
+    }
+}
+
+impl Stream for Listener {
+    type Item = Told;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Told>> {
+        loop {
+            if let Some(event) = self.next.next() {
+                self.last = event.number;
+                let (kind, data) = (event.kind, event.data.clone());
+                return Poll::Ready(Some(Told { kind, data, number: Some(event.number) }));
+            }
+            let (gone, events) = self.log.after(self.last);
+            self.next = events.into_iter();
+            if gone > 0 {
+                self.last += gone;
+                let missed = Told { number: Some(self.last), ..Told::missed(Some(gone), "TOO_OLD") };
+                return Poll::Ready(Some(missed));
+            }
+            if self.next.len() > 0 {
+                continue;
+            }
+            match Pin::new(&mut self.moved).poll_next(context) {
+                Poll::Ready(Some(_)) => {}
+                Poll::Ready(None) => return Poll::Ready(None),
+                Poll::Pending => return Poll::Pending,
+            }
         }
-    })
-}
-
-fn event(name: &'static str, body: &impl Serialize) -> Event {
-    let event = Event::default().event(name);
-    // Our own plain structs always have a JSON form; an event without one is sent without a body.
-    event.clone().json_data(body).unwrap_or(event)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::feed::FixEvent;
     use crate::http::testing::{TestSite, a_fix, an_upload, json_of};
+    use axum::http::Method;
 
     /// Reads the stream until `wanted` was seen.
     async fn read_until(body: axum::body::Body, wanted: &[&str]) -> String {
@@ -142,6 +205,56 @@ mod tests {
         read_until(response.into_body(), &wanted).await;
     }
 
+    async fn resumed(site: &TestSite, id: &str, wanted: &[&str]) -> String {
+        let answer = site.send(Method::GET, "/api/v1/events", &[("last-event-id", id)]).await;
+        read_until(answer.into_body(), wanted).await
+    }
+
+    fn fix(answered_us: i64) -> FixEvent {
+        FixEvent { answered_us, ..a_fix() }
+    }
+
+    /// Catches: an event that a listener missed while it was away, or hears twice, and an event without an id.
+    #[tokio::test]
+    async fn who_comes_again_is_told_what_was_missed() {
+        let site = TestSite::default();
+        (101..=103).for_each(|us| site.state.feed.fixes.publish(fix(us)));
+        site.state.feed.uploads.publish(an_upload());
+        let log = &site.state.feed.events;
+        let text =
+            resumed(&site, &log.id(1), &["event: upload", "event: map", "event: health", "event: alive"])
+                .await;
+        assert!(!text.contains("\"answered_us\":101") && !text.contains("event: missed"), "{text}");
+        let at = |us: i64| text.find(&format!("\"answered_us\":{us}")).unwrap();
+        assert!(at(102) < at(103));
+        let blocks: Vec<_> = text.split("\n\n").filter(|block| block.contains("event:")).collect();
+        assert!(blocks.iter().all(|block| block.contains("id: ")), "{text}");
+        // What says how things are carries the id of what was told before: who resumes from it misses nothing.
+        let last = blocks.iter().find(|block| block.contains("event: alive")).unwrap();
+        assert!(last.contains(&log.id(4)), "{text}");
+    }
+
+    /// Catches: a gap that is passed over in silence: of events that are gone, or of another run of the service.
+    #[tokio::test]
+    async fn who_cannot_be_told_is_told_that() {
+        let site = TestSite::default();
+        (0..2_010).for_each(|us| site.state.feed.fixes.publish(fix(us)));
+        let gone = resumed(&site, &site.state.feed.events.id(3), &["\"answered_us\":2009"]).await;
+        assert!(
+            gone.contains(r#"{"count":7,"reason":"TOO_OLD"}"#) && gone.contains("\"answered_us\":10,"),
+            "{gone}"
+        );
+        let other = TestSite::default();
+        other.state.feed.uploads.publish(an_upload());
+        for id in [&site.state.feed.events.id(1), "1", "", "caf\u{e9}"] {
+            let text = resumed(&other, id, &["event: missed", "event: map"]).await;
+            assert!(
+                text.contains(r#"{"count":null,"reason":"OTHER_RUN"}"#) && !text.contains("event: upload"),
+                "{text}"
+            );
+        }
+    }
+
     /// Catches: a page that cannot tell a silent service from a dead one.
     #[tokio::test]
     async fn a_listener_hears_that_the_service_lives() {
@@ -171,7 +284,7 @@ mod tests {
     async fn lists_are_newest_first_and_limits_checked() {
         let site = TestSite::default();
         for answered_us in [1, 2, 3] {
-            site.state.feed.fixes.publish(crate::feed::FixEvent { answered_us, ..a_fix() });
+            site.state.feed.fixes.publish(FixEvent { answered_us, ..a_fix() });
         }
         let body = json_of(site.get("/api/v1/fixes?limit=2").await).await;
         let times: Vec<_> =

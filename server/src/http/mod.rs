@@ -61,13 +61,14 @@ use tokio::sync::watch;
 use tower::Layer;
 use tower::util::MapRequestLayer;
 
+use crate::access_log::AccessLogLayer;
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::Gate;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
-use crate::trace::RequestSpanLayer;
+use crate::trace::{Port, RequestSpanLayer};
 pub use cors::{Origins, is_origin};
 use error::Error;
 pub use origin::Hosts;
@@ -136,7 +137,8 @@ pub fn router(state: HttpState) -> Router {
 pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
-    let (past, limiter) = (past::PastMaps::default(), limits::Limiter::of_port(state.address_share));
+    let (past, limiter) =
+        (past::PastMaps::new(state.address_share), limits::Limiter::of_port(state.address_share));
     let app = Arc::new(App { state, artist, past, limiter, gate });
     let (cors, base_path) = (place.origins.layer(), place.base_path.clone());
     let routes = routes()
@@ -149,7 +151,7 @@ pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
         .layer(from_fn(limits::guard));
     // Before anybody is asked who asks: a browser's question whether a page may ask carries nothing that says so.
     let routes = if let Some(cors) = cors { routes.layer(cors) } else { routes };
-    let routes = routes.layer(RequestSpanLayer::http()).with_state(app);
+    let routes = routes.layer(RequestSpanLayer::http()).layer(AccessLogLayer(Port::Http)).with_state(app);
     if base_path.is_empty() {
         return routes;
     }

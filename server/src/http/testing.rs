@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{Cursor, Read, Write};
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
@@ -52,6 +53,39 @@ pub struct FakeStore {
     /// The map's lineage.
     pub lineage: AtomicU64,
     progress: watch::Sender<MapProgress>,
+    folds: Mutex<Option<Arc<Folds>>>,
+}
+
+/// Folds of past maps, which wait until they are let go.
+#[derive(Default)]
+pub struct Folds {
+    now: AtomicUsize,
+    pub most_at_once: AtomicUsize,
+    pub all: AtomicUsize,
+    released: (Mutex<bool>, Condvar),
+}
+
+impl Folds {
+    fn one(&self) {
+        self.all.fetch_add(1, Ordering::SeqCst);
+        self.most_at_once.fetch_max(self.now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+        let (released, changed) = &self.released;
+        drop(changed.wait_while(released.lock().unwrap(), |released| !*released).unwrap());
+        self.now.fetch_sub(1, Ordering::SeqCst);
+    }
+
+    /// Until so many have begun.
+    pub async fn begun(&self, count: usize) {
+        while self.all.load(Ordering::SeqCst) < count {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    /// Lets all go on, from now on at once.
+    pub fn release(&self) {
+        *self.released.0.lock().unwrap() = true;
+        self.released.1.notify_all();
+    }
 }
 
 impl Default for FakeStore {
@@ -61,6 +95,7 @@ impl Default for FakeStore {
             reads: AtomicUsize::new(0),
             lineage: AtomicU64::new(0),
             progress: watch::Sender::new(serving(1)),
+            folds: Mutex::default(),
         }
     }
 }
@@ -88,6 +123,11 @@ impl FakeStore {
     pub fn put(&self, id: TileId, tile: Tile) {
         let stored = StoredTile { version: 1, day: 0, tile: Arc::new(tile) };
         self.tiles.lock().unwrap().insert(id, stored);
+    }
+
+    /// There are past maps from now on, whose folds wait until they are let go.
+    pub fn hold_folds(&self) -> Arc<Folds> {
+        Arc::clone(self.folds.lock().unwrap().insert(Arc::default()))
     }
 
     /// A tile changes.
@@ -217,7 +257,9 @@ impl Operations for FakeStore {
     }
 
     fn served_at(&self, _: u64) -> Result<Arc<dyn MapStore>, Error> {
-        Err(only_read())
+        let folds = self.folds.lock().unwrap().clone();
+        folds.ok_or_else(only_read)?.one();
+        Ok(Arc::new(Self::default()))
     }
 
     fn history(&self, _: usize) -> Vec<HistoryEvent> {

@@ -35,7 +35,7 @@ pub enum Refusal {
         /// Who asks.
         name: String,
         /// As what.
-        roles: String,
+        roles: Roles,
     },
 }
 
@@ -181,7 +181,7 @@ impl Gate {
         if !caller.is_known() {
             return Err(unknown());
         }
-        let (name, roles) = (caller.name.clone(), caller.roles.to_string());
+        let Caller { name, roles, .. } = caller;
         Err(Refusal::Forbidden { least, name, roles })
     }
 

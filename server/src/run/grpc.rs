@@ -20,12 +20,13 @@ use tower::util::MapResponseLayer;
 use super::calls::CallsLayer;
 use super::connections::{Acceptor, Door};
 use super::{Error, LATE_FRAMES, ServiceContext, ended};
+use crate::access_log::AccessLogLayer;
 use crate::config::LimitsConfig;
 use crate::grpc::{Access, Admission, HeadsLayer, LocalizationApi, MapApi, MappingApi, tell_faults};
 use crate::health::Readiness;
 use crate::identity::Port;
 use crate::locating::Locator;
-use crate::trace::RequestSpanLayer;
+use crate::trace::{self, RequestSpanLayer};
 
 /// Bytes of a stream and of a connection that may be under way before they are read.
 const STREAM_WINDOW: u32 = 128 << 10;
@@ -84,6 +85,7 @@ pub(super) async fn serve(
     let door = Door::new(shared.gate.clone(), Port::Grpc);
     let acceptor = Acceptor::new(listener, limits, door);
     let served = limited(limits)
+        .layer(AccessLogLayer(trace::Port::Grpc))
         .layer(RequestSpanLayer::grpc())
         .layer(CallsLayer::new(limits.pace(), ending.clone()))
         .layer(MapResponseLayer::new(tell_faults(metrics.clone())))

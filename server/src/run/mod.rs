@@ -28,7 +28,7 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::config::{Config, StorePlace};
+use crate::config::{self, Config, StorePlace};
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::{self, Gate, Rates};
@@ -223,12 +223,14 @@ impl Server {
     }
 }
 
-/// Binds and runs a service; reports where it listens in the log and, if asked, as JSON in a file.
+/// Binds and runs a service that was built from a commit; reports what runs and where it listens in the log and, if asked, the
+/// addresses as JSON in a file.
 ///
 /// # Errors
 /// When it cannot start, or a port fails.
 pub async fn serve(
     config: Config,
+    commit: &str,
     address_file: Option<&Path>,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), Error> {
@@ -241,7 +243,7 @@ pub async fn serve(
         }
     };
     let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
-    tracing::info!(grpc = %addresses.grpc, http = %addresses.http, "listening");
+    tell(&server.shared.config, addresses, commit);
     if let Some(roles) = server.shared.gate.anonymous() {
         tracing::warn!(%roles, "anybody who reaches the ports has these roles (`identity.anonymous`)");
     }
@@ -250,6 +252,18 @@ pub async fn serve(
         write_whole(path, &addresses).map_err(failed)?;
     }
     server.run(shutdown).await
+}
+
+/// One line that says what runs here.
+fn tell(config: &Config, addresses: Addresses, commit: &str) {
+    let Addresses { grpc, http } = addresses;
+    let store = match config.store.place() {
+        Some(StorePlace::Directory(dir)) => dir.display().to_string(),
+        Some(StorePlace::Bucket(url)) => config::without_credentials(&url),
+        None => String::new(),
+    };
+    let (version, differing) = (env!("CARGO_PKG_VERSION"), config.differences().join(" "));
+    tracing::info!(version, commit, %grpc, %http, store, differing, "listening");
 }
 
 /// Closes the store, if nothing else holds it, but does not wait for long: what is being folded is folded again at the next
