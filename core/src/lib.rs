@@ -100,6 +100,7 @@ pub mod once;
 pub mod own_error;
 pub mod point;
 pub mod pose;
+mod range_coder;
 pub mod scan;
 mod sealed;
 pub mod tile;

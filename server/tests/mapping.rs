@@ -54,12 +54,12 @@ async fn tiles(
 }
 
 fn by_id(ids: Vec<TileId>, have: Vec<TileVersion>) -> GetTilesRequest {
-    GetTilesRequest { selection: Some(Selection::Tiles(TileList { ids })), have }
+    GetTilesRequest { selection: Some(Selection::Tiles(TileList { ids })), have, ..Default::default() }
 }
 
 fn by_area(west_deg: f64, east_deg: f64) -> GetTilesRequest {
     let area = GeodeticBox { south_deg: AUSTIN.0 - 0.01, north_deg: AUSTIN.0 + 0.01, west_deg, east_deg };
-    GetTilesRequest { selection: Some(Selection::Area(area)), have: vec![] }
+    GetTilesRequest { selection: Some(Selection::Area(area)), ..Default::default() }
 }
 
 /// The tiles of an upload once the map shows it.

@@ -39,7 +39,7 @@ pub async fn get(
     selection: Selection,
     have: Vec<TileVersion>,
 ) -> Result<(Tiles, TilesSummary), Status> {
-    let request = GetTilesRequest { selection: Some(selection), have };
+    let request = GetTilesRequest { selection: Some(selection), have, ..GetTilesRequest::default() };
     let mut parts = client.get_tiles(request).await?.into_inner();
     let mut tiles = Tiles::new();
     // The tile that began last, and the bytes it lacks.

@@ -111,6 +111,16 @@ fn a_drive_is_simulated_mapped_and_localized_in_either_format() {
     };
     let offline = offline["fixes"].as_array().unwrap();
     assert!(offline.iter().map(alike).eq(fixes.iter().map(alike)), "{offline:?}\n{fixes:?}");
+    // And from what a vehicle needs of them.
+    let layer = folder.path("layer");
+    let kept = echofix(["tiles", "sync", &layer, "--layer", "--server", &service.grpc, "--json"]).json();
+    let whole = echofix(["tiles", "sync", &tiles, "--server", &service.grpc, "--json"]).json();
+    assert_eq!(kept["folder"]["tiles"], whole["folder"]["tiles"]);
+    assert!(number(&kept["bytes"]) * 4.0 < number(&whole["folder"]["bytes"]), "{kept} of {whole}");
+    let small = echofix(["localize", &csv, "--offline", &layer, "--every-s", "3", "--json"]).json();
+    let small = &small["summary"];
+    assert!(number(&small["usable_share"]) > 0.6 && number(&small["error_m"]["p95"]) < 0.5, "{small}");
+    assert_eq!(small["beyond_protection"], 0, "{small}");
     let strict = echofix(["localize", &csv, "--offline", &tiles, "--every-s", "10", "--fail-under", "1.0"]);
     let all = strict.stdout.contains("questions: USABLE");
     assert!(strict.code == Some(1) && strict.stderr.contains("usable") || all, "{strict:?}");

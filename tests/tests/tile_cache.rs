@@ -9,7 +9,7 @@ use echofix_client::service;
 use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_core::evidence::Cell;
 use echofix_core::geo::{LatLon, TileId, Zone};
-use echofix_core::tile::{self, Tile};
+use echofix_core::tile::{self, Grain, Tile};
 use echofix_tests::command::echofix;
 use echofix_tests::service::Service;
 use echofix_tests::tiles::{self, EVERYWHERE, Tiles};
@@ -115,6 +115,57 @@ async fn a_cache_is_sent_what_changed_and_no_more() {
     mapping::folded(&service).await;
     let nothing = sync(&cache, &tap).await;
     assert_eq!((nothing.removed as usize, cache.versions().len(), cache.bytes()), (served.len(), 0, 0));
+}
+
+/// Catches layers that are sent whether or not they changed, are no layers of what is served, or stay tiles where a folder is
+/// asked for the other form.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cache_of_layers_follows_the_map_and_may_change_its_form() {
+    let seed = town::seed();
+    let uploads = mapping::uploads(&town::wander(&town::town(seed), 0, "mapper", seed, 300.0));
+    let (last, first) = uploads.split_last().expect("the drive makes uploads");
+    let service = Service::start();
+    let mut sender = grpc::mapping(&service).await;
+    for upload in first {
+        mapping::send(&mut sender, upload.parts()).await.expect("the upload counts");
+    }
+    mapping::folded(&service).await;
+    let (cache, want) = (open(&service.scratch().join("layers")), Want::Area(EVERYWHERE));
+    let endpoint = endpoint(&service.grpc);
+    let layers = cache.sync_layer(&endpoint, &want).await.expect("the map can be read");
+    assert_layers(&cache, &tiles::all(&service).await);
+    assert_eq!(cache.sync_layer(&endpoint, &want).await.expect("it can").fetched, 0, "nothing changed");
+
+    let answer = mapping::send(&mut sender, last.parts()).await.expect("the upload counts");
+    mapping::folded(&service).await;
+    let changed = cache.sync_layer(&endpoint, &want).await.expect("the map can be read");
+    assert_eq!(changed.fetched as usize, answer.tiles.len());
+    let map = tiles::all(&service).await;
+    assert_layers(&cache, &map);
+
+    let whole = cache.sync(&endpoint, &want).await.expect("the map can be read");
+    assert_eq!(whole.fetched as usize, map.len());
+    assert!(layers.bytes * 4 < whole.bytes, "{layers:?} of {whole:?}");
+    assert_is(&cache, &map);
+    let back = cache.sync_layer(&endpoint, &want).await.expect("the map can be read");
+    assert_eq!(back.fetched as usize, map.len());
+    assert_layers(&cache, &map);
+    echofix(["map", "rollback", "--yes", "0", "--http", &service.http, "--json"]).json();
+    mapping::folded(&service).await;
+    // In either form what the map no longer holds goes.
+    let gone = cache.sync(&endpoint, &want).await.expect("the map can be read");
+    assert_eq!((gone.removed as usize, cache.bytes()), (map.len(), 0));
+}
+
+/// Asserts that a cache holds the layers of just the map that a service serves.
+fn assert_layers(cache: &TileCache, map: &Tiles) {
+    let versions: Vec<_> = map.iter().map(|(id, (version, _))| (*id, *version)).collect();
+    assert_eq!(cache.versions(), versions);
+    for (id, (version, encoded)) in map {
+        let layer = tile::encode_layer(&tile::decode(encoded).expect("it is sound"), &Grain::VEHICLE);
+        let layer = tile::decode_layer(&layer).expect("a layer can be read");
+        assert_eq!(cache.tile(*id).expect("the disk is sound"), Some((*version, layer)), "tile {id}");
+    }
 }
 
 /// Catches a cache that keeps what a map showed before its backup was restored: breaks when versions go on where the

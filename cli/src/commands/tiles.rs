@@ -29,6 +29,9 @@ enum TilesOperation {
         /// URL of the service's gRPC port.
         #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
         server: String,
+        /// Fetch the vehicle layer: all that localizing needs, in a fiftieth of the bytes of a crowd's map.
+        #[arg(long)]
+        layer: bool,
         /// Largest size of the folder, megabytes. Beyond it, the tiles that were not used for the longest time are removed.
         #[arg(long, default_value_t = 1_000, value_parser = within(1..=1_000_000_000_u64))]
         max_mb: u64,
@@ -40,12 +43,14 @@ enum TilesOperation {
 /// # Errors
 /// When the service cannot be reached or refuses, or the folder cannot be used.
 pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
-    let TilesOperation::Sync { dir, area, server, max_mb } = args.operation;
+    let TilesOperation::Sync { dir, area, server, layer, max_mb } = args.operation;
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
     let limits = TileCacheLimits { max_bytes: max_mb.saturating_mul(1_000_000) };
     let cache = TileCache::open(dir, limits)?;
     let service = credentials.endpoint(&server)?;
-    let done = cache.sync(&service, &Want::Area(area.unwrap_or(everywhere))).await?;
+    let want = Want::Area(area.unwrap_or(everywhere));
+    let done =
+        if layer { cache.sync_layer(&service, &want).await? } else { cache.sync(&service, &want).await? };
     report(&done, &cache, json);
     Ok(())
 }

@@ -4,7 +4,6 @@ use echofix_core::geo::{TileId, Zone};
 use echofix_proto::v1::{TileData, TilePiece};
 
 use super::Error;
-use super::name::TileVersionName;
 
 /// Bytes of an encoded tile, at most: a full one stays below.
 const MAX_TILE: u64 = 16 << 20;
@@ -12,7 +11,8 @@ const MAX_TILE: u64 = 16 << 20;
 /// A tile that came whole, not yet decoded.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Whole {
-    pub(super) name: TileVersionName,
+    pub(super) id: TileId,
+    pub(super) version: u64,
     pub(super) encoded: Vec<u8>,
 }
 
@@ -29,8 +29,7 @@ impl Assembly {
         }
         let version = data.version.ok_or(Error::Contract("a tile has no version"))?;
         let id = version.tile.as_ref().and_then(id).ok_or(Error::Contract("a tile has no id"))?;
-        let name = TileVersionName { id, version: version.version };
-        self.0 = Some((Whole { name, encoded: Vec::new() }, data.encoded_bytes));
+        self.0 = Some((Whole { id, version: version.version, encoded: Vec::new() }, data.encoded_bytes));
         self.extend(data.encoded)
     }
 

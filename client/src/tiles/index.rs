@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use echofix_core::geo::TileId;
 
-use super::name::TileVersionName;
+use super::name::{Form, TileVersionName};
 
 /// The tiles of a cache. Times are counts of uses.
 #[derive(Debug, Default)]
@@ -18,8 +18,15 @@ pub(super) struct CacheIndex {
 #[derive(Debug, Clone, Copy)]
 struct CachedTile {
     version: u64,
+    form: Form,
     bytes: u64,
     used: u64,
+}
+
+impl CachedTile {
+    fn name(&self, id: TileId) -> TileVersionName {
+        TileVersionName { id, version: self.version, form: self.form }
+    }
 }
 
 impl CacheIndex {
@@ -43,7 +50,11 @@ impl CacheIndex {
     }
 
     pub(super) fn name(&self, id: TileId) -> Option<TileVersionName> {
-        Some(TileVersionName { id, version: self.version(id)? })
+        self.tiles.get(&id).map(|entry| entry.name(id))
+    }
+
+    pub(super) fn names(&self) -> impl Iterator<Item = TileVersionName> {
+        self.tiles.iter().map(|(id, entry)| entry.name(*id))
     }
 
     /// A time that all uses before are older than.
@@ -52,20 +63,21 @@ impl CacheIndex {
         self.now
     }
 
-    /// Notes a use; returns the tile's version.
-    pub(super) fn touch(&mut self, id: TileId) -> Option<u64> {
+    /// Notes a use; returns the tile's version and form.
+    pub(super) fn touch(&mut self, id: TileId) -> Option<TileVersionName> {
         let now = self.tick();
         let entry = self.tiles.get_mut(&id)?;
         self.by_use.remove(&entry.used);
         self.by_use.insert(now, id);
         entry.used = now;
-        Some(entry.version)
+        Some(entry.name(id))
     }
 
     /// Takes a tile, used now; it replaces another version of it.
-    pub(super) fn insert(&mut self, TileVersionName { id, version }: TileVersionName, bytes: u64) {
+    pub(super) fn insert(&mut self, name: TileVersionName, bytes: u64) {
+        let TileVersionName { id, version, form } = name;
         let used = self.tick();
-        if let Some(before) = self.tiles.insert(id, CachedTile { version, bytes, used }) {
+        if let Some(before) = self.tiles.insert(id, CachedTile { version, form, bytes, used }) {
             self.by_use.remove(&before.used);
             self.bytes -= before.bytes;
         }
@@ -75,7 +87,7 @@ impl CacheIndex {
 
     /// Forgets a tile if it is this version that is there.
     pub(super) fn forget(&mut self, name: TileVersionName) {
-        if self.version(name.id) == Some(name.version)
+        if self.name(name.id) == Some(name)
             && let Some(entry) = self.tiles.remove(&name.id)
         {
             self.by_use.remove(&entry.used);

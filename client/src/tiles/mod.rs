@@ -4,7 +4,9 @@
 //! ([`Want`]: an area, a route, tiles by their ids), takes what changed, and removes what the map no longer
 //! holds. [`TileCache::tile`] reads a tile without the network.
 //!
-//! A cache is a folder: `<EPSG code>/<x>_<y>_<version>.tile`, each file a tile as it came, in its checksummed
+//! [`TileCache::sync_layer`] takes the vehicle layer of the tiles instead, a fiftieth of the bytes and all that localizing needs.
+//!
+//! A cache is a folder: `<EPSG code>/<x>_<y>_<version>.tile` or `.layer`, each file a tile as it came, in its checksummed
 //! codec. A file appears whole or not at all, so that the folder is sound whenever the process ends:
 //!
 //! - **a crash** leaves a file under another ending, or a tile in two versions; opening removes either;
@@ -44,7 +46,7 @@ use echofix_core::tile::{self, DecodeError, Tile};
 use crate::disk;
 use crate::refusal::CallError;
 use index::CacheIndex;
-use name::TileVersionName;
+use name::{Form, TileVersionName};
 
 pub use sync::Synced;
 pub use want::Want;
@@ -152,7 +154,7 @@ impl TileCache {
         Ok(Self { inner: Arc::new(inner) })
     }
 
-    /// A tile with its version; `None` when the cache does not have it, or when its file was damaged, which is
+    /// A tile with its version, or what its vehicle layer tells of it; `None` when the cache does not have it, or when its file was damaged, which is
     /// removed then.
     ///
     /// # Errors
@@ -160,16 +162,17 @@ impl TileCache {
     pub fn tile(&self, id: TileId) -> Result<Option<(u64, Tile)>, Error> {
         let CacheInner { dir, .. } = &*self.inner;
         loop {
-            let Some(version) = self.inner.index().touch(id) else { return Ok(None) };
-            let name = TileVersionName { id, version };
+            let Some(name) = self.inner.index().touch(id) else { return Ok(None) };
             let path = name.path(dir);
             let damage = match files::read(&path) {
-                Ok(encoded) => match tile::decode(&encoded) {
-                    Ok(tile) => return Ok(Some((version, tile))),
+                Ok(encoded) => match decode(name.form, &encoded) {
+                    Ok(tile) => return Ok(Some((name.version, tile))),
                     Err(damage) => damage.to_string(),
                 },
                 // Replaced meanwhile.
-                Err(e) if e.kind() == io::ErrorKind::NotFound && self.version(id) != Some(version) => {
+                Err(e)
+                    if e.kind() == io::ErrorKind::NotFound && self.inner.index().name(id) != Some(name) =>
+                {
                     continue;
                 }
                 Err(e) if e.kind() == io::ErrorKind::NotFound => "the file has vanished".to_owned(),
@@ -247,6 +250,14 @@ impl CacheInner {
     fn index(&self) -> MutexGuard<'_, CacheIndex> {
         // It stays right even if a holder panicked.
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What a file of a form holds.
+fn decode(form: Form, encoded: &[u8]) -> Result<Tile, DecodeError> {
+    match form {
+        Form::Tile => tile::decode(encoded),
+        Form::Layer => tile::decode_layer(encoded),
     }
 }
 

@@ -4,20 +4,38 @@ use std::path::{Path, PathBuf};
 
 use echofix_core::geo::{TileId, Zone};
 
-const ENDING: &str = "tile";
+/// What a cache has of a tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Form {
+    /// All that is served of it.
+    Tile,
+    /// Its vehicle layer.
+    Layer,
+}
 
-/// A version of a tile, which names its file.
+impl Form {
+    /// How its files end.
+    fn ending(self) -> &'static str {
+        match self {
+            Self::Tile => "tile",
+            Self::Layer => "layer",
+        }
+    }
+}
+
+/// A version of a tile in a form, which names its file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct TileVersionName {
     pub(super) id: TileId,
     pub(super) version: u64,
+    pub(super) form: Form,
 }
 
 impl TileVersionName {
     /// Its file in a cache's folder.
     pub(super) fn path(self, dir: &Path) -> PathBuf {
-        let Self { id: TileId { zone, x, y }, version } = self;
-        dir.join(zone.epsg().to_string()).join(format!("{x}_{y}_{version}.{ENDING}"))
+        let Self { id: TileId { zone, x, y }, version, form } = self;
+        dir.join(zone.epsg().to_string()).join(format!("{x}_{y}_{version}.{}", form.ending()))
     }
 
     /// What a file of a zone's folder is called; none when it is no tile.
@@ -25,7 +43,9 @@ impl TileVersionName {
         let mut numbers = path.file_stem()?.to_str()?.split('_');
         let (x, y) = (numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?);
         let version = numbers.next()?.parse().ok()?;
-        let ours = numbers.next().is_none() && path.extension()? == ENDING;
-        ours.then_some(Self { id: TileId { zone, x, y }, version })
+        let form = [Form::Tile, Form::Layer]
+            .into_iter()
+            .find(|form| path.extension().is_some_and(|e| e == form.ending()))?;
+        numbers.next().is_none().then_some(Self { id: TileId { zone, x, y }, version, form })
     }
 }

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use echofix_core::geo::TileId;
-use echofix_core::tile;
+use echofix_core::tile::{self, DecodeError, Grain};
 use echofix_proto::v1::get_tiles_response::Part;
 use echofix_proto::v1::map_service_client::MapServiceClient;
 use echofix_proto::v1::{GetTilesRequest, GetTilesResponse, TilesSummary};
 use tonic::Streaming;
 
 use super::assembly::{self, Assembly, Whole};
+use super::name::{Form, TileVersionName};
 use super::{CacheInner, Error, TileCache, Want};
 use crate::refusal::CallError;
 use crate::service::{CallerChannel, ServiceEndpoint};
@@ -48,12 +49,29 @@ impl TileCache {
     /// When the service cannot be reached, refuses, or answers nonsense, what is wanted does not fit, or the file
     /// system refuses.
     pub async fn sync(&self, service: &ServiceEndpoint, want: &Want) -> Result<Synced, Error> {
+        self.sync_as(Form::Tile, service, want).await
+    }
+
+    /// As [`TileCache::sync`], but takes the vehicle layer of the tiles: what stands, and how much of it a pass hits, in a fiftieth of the
+    /// bytes. Of a service that knows no layers it takes the tiles, and keeps their layers.
+    ///
+    /// # Errors
+    /// As [`TileCache::sync`].
+    pub async fn sync_layer(&self, service: &ServiceEndpoint, want: &Want) -> Result<Synced, Error> {
+        self.sync_as(Form::Layer, service, want).await
+    }
+
+    async fn sync_as(&self, form: Form, service: &ServiceEndpoint, want: &Want) -> Result<Synced, Error> {
         let _one = self.inner.syncing.lock().await;
         let (since, have) = {
             let mut index = self.inner.index();
-            (index.tick(), index.versions().collect::<BTreeMap<_, _>>())
+            // What is there in the other form must come again, whatever its version, or go where the map holds nothing.
+            let version =
+                |name: TileVersionName| if name.form == form { name.version } else { !name.version };
+            let have: BTreeMap<_, _> = index.names().map(|name| (name.id, version(name))).collect();
+            (index.tick(), have)
         };
-        let requests = want.requests(&have);
+        let requests = want.requests(form, &have);
         for held in requests.iter().flat_map(|request| &request.have) {
             // Before anything comes: what is wanted makes no room for what is wanted, too.
             held.tile.as_ref().and_then(assembly::id).map(|id| self.inner.index().touch(id));
@@ -61,7 +79,7 @@ impl TileCache {
         let mut client = MapServiceClient::new(service.connect_lazy());
         let mut done = Synced::default();
         for request in requests {
-            let summary = self.take(&mut client, request, since, &mut done).await?;
+            let summary = self.take(&mut client, (form, request), since, &mut done).await?;
             done.epoch = if done.epoch == 0 { summary.epoch } else { done.epoch.min(summary.epoch) };
             done.unchanged += summary.unchanged;
             let absent: Vec<TileId> = summary.absent.iter().filter_map(assembly::id).collect();
@@ -74,7 +92,7 @@ impl TileCache {
     async fn take(
         &self,
         client: &mut MapServiceClient<CallerChannel>,
-        request: GetTilesRequest,
+        (form, request): (Form, GetTilesRequest),
         since: u64,
         done: &mut Synced,
     ) -> Result<TilesSummary, Error> {
@@ -91,7 +109,7 @@ impl TileCache {
             if let Some(whole) = whole {
                 done.fetched += 1;
                 done.bytes += whole.encoded.len() as u64;
-                done.evicted += self.on_disk(move |cache| cache.store(&whole, since)).await?;
+                done.evicted += self.on_disk(move |cache| cache.store(whole, form, since)).await?;
             }
         }
     }
@@ -116,10 +134,20 @@ async fn next(answer: &mut Streaming<GetTilesResponse>) -> Result<Part, Error> {
 }
 
 impl CacheInner {
-    /// Stores a tile if it can be read.
-    fn store(&self, Whole { name, encoded }: &Whole, since: u64) -> Result<u32, Error> {
-        tile::decode(encoded).map_err(|source| Error::Unreadable { id: name.id, source })?;
-        self.put(*name, encoded, since)
+    /// Stores a tile in a form if it can be read.
+    fn store(&self, whole: Whole, form: Form, since: u64) -> Result<u32, Error> {
+        let Whole { id, version, encoded } = whole;
+        let unreadable = |source| Error::Unreadable { id, source };
+        let encoded = match super::decode(form, &encoded) {
+            Ok(_) => encoded,
+            // It comes from a service that knows no layers.
+            Err(DecodeError::NotOurs) if form == Form::Layer => {
+                let tile = tile::decode(&encoded).map_err(unreadable)?;
+                tile::encode_layer(&tile, &Grain::VEHICLE)
+            }
+            Err(source) => return Err(unreadable(source)),
+        };
+        self.put(TileVersionName { id, version, form }, &encoded, since)
     }
 
     fn remove_all(&self, absent: &[TileId]) -> Result<u32, Error> {

@@ -36,7 +36,7 @@ fn put(cache: &TileCache, x: i32, version: u64) {
 }
 
 fn put_since(cache: &TileCache, x: i32, version: u64, since: u64) -> Result<u32, Error> {
-    cache.inner.put(TileVersionName { id: id(x), version }, &encoded(version as u32), since)
+    cache.inner.put(TileVersionName { id: id(x), version, form: Form::Tile }, &encoded(version as u32), since)
 }
 
 fn hits(cache: &TileCache, x: i32) -> Option<(u64, u32)> {
@@ -80,12 +80,13 @@ fn what_a_crash_leaves_is_removed() {
     let dir = tempfile::tempdir().unwrap();
     let cache = open(&dir);
     put(&cache, 1, 4);
-    let older = fs::read(TileVersionName { id: id(1), version: 4 }.path(dir.path())).unwrap();
+    let older =
+        fs::read(TileVersionName { id: id(1), version: 4, form: Form::Tile }.path(dir.path())).unwrap();
     put(&cache, 1, 5);
     drop(cache);
     let zone = dir.path().join("32614");
     fs::write(zone.join("12001_65000_6.part"), &older[..9]).unwrap();
-    fs::write(TileVersionName { id: id(1), version: 4 }.path(dir.path()), &older).unwrap();
+    fs::write(TileVersionName { id: id(1), version: 4, form: Form::Tile }.path(dir.path()), &older).unwrap();
     fs::write(zone.join("notes.txt"), "not ours").unwrap();
     let cache = open(&dir);
     // Either version is sound, and corrected by the next sync; but only one is there.
@@ -103,7 +104,7 @@ proptest! {
         let cache = open(&dir);
         put(&cache, 1, 4);
         put(&cache, 2, 4);
-        let path = TileVersionName { id: id(1), version: 4 }.path(dir.path());
+        let path = TileVersionName { id: id(1), version: 4, form: Form::Tile }.path(dir.path());
         let mut bytes = fs::read(&path).unwrap();
         let at = at.index(bytes.len());
         bytes[at] ^= 1_u8 << bit;

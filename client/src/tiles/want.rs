@@ -5,7 +5,9 @@ use std::ops::RangeInclusive;
 
 use echofix_core::geo::{self, Grid, LatLon, MetresPerDegree, TILE_M, TileId, ground_distance_m, zones_near};
 use echofix_proto::v1::get_tiles_request::Selection;
-use echofix_proto::v1::{self, GeodeticBox, GetTilesRequest, TileList, TileVersion};
+use echofix_proto::v1::{self, GeodeticBox, GetTilesRequest, TileForm, TileList, TileVersion};
+
+use super::name::Form;
 
 /// Tiles that the service takes by id in one request.
 const MAX_IDS: usize = 1_024;
@@ -58,20 +60,24 @@ impl Want {
     }
 
     /// What to ask the service, given the versions that are there.
-    pub(super) fn requests(&self, have: &BTreeMap<TileId, u64>) -> Vec<GetTilesRequest> {
+    pub(super) fn requests(&self, form: Form, have: &BTreeMap<TileId, u64>) -> Vec<GetTilesRequest> {
+        let form = match form {
+            Form::Tile => TileForm::Whole,
+            Form::Layer => TileForm::Layer,
+        } as i32;
         match self {
             Self::Area(area) => {
                 let beside = Beside::new(area);
                 let have = have.iter().filter(|(id, _)| beside.holds(**id));
                 let have = have.take(MAX_HAVE).map(|(id, version)| version_message(*id, *version)).collect();
-                vec![GetTilesRequest { selection: Some(Selection::Area(*area)), have }]
+                vec![GetTilesRequest { selection: Some(Selection::Area(*area)), have, form }]
             }
             Self::Tiles(ids) => {
                 let ids: Vec<TileId> = ids.iter().copied().collect();
                 let request = |ids: &[TileId]| {
                     let held = ids.iter().filter_map(|id| Some(version_message(*id, *have.get(id)?)));
                     let list = TileList { ids: ids.iter().map(|id| message(*id)).collect() };
-                    GetTilesRequest { selection: Some(Selection::Tiles(list)), have: held.collect() }
+                    GetTilesRequest { selection: Some(Selection::Tiles(list)), have: held.collect(), form }
                 };
                 ids.chunks(MAX_IDS).map(request).collect()
             }
@@ -162,16 +168,16 @@ mod tests {
             east_deg: west_deg + 0.1,
         };
         for area in [edges(29.9, -97.1), edges(29.9, -97.0), edges(30.0, -97.1), edges(30.0001, -96.9999)] {
-            let requests = Want::Area(area).requests(&have);
+            let requests = Want::Area(area).requests(Form::Tile, &have);
             assert_eq!(requests.len(), 1);
             assert_eq!(requests[0].have, [version_message(tile_at(HERE), 4)], "{area:?}");
         }
         let across = GeodeticBox { south_deg: 29.0, north_deg: 32.0, west_deg: 170.0, east_deg: -96.0 };
-        assert_eq!(Want::Area(across).requests(&have)[0].have.len(), 2);
+        assert_eq!(Want::Area(across).requests(Form::Tile, &have)[0].have.len(), 2);
 
         let id = tile_at(HERE);
         let many: BTreeSet<TileId> = (0..2500).map(|x| TileId { x: id.x + x, ..id }).collect();
-        let requests = Want::Tiles(many).requests(&have);
+        let requests = Want::Tiles(many).requests(Form::Tile, &have);
         let held: Vec<usize> = requests.iter().map(|request| request.have.len()).collect();
         assert_eq!(held, [1, 0, 0]);
     }

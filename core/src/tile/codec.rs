@@ -51,16 +51,34 @@ pub fn encode(tile: &Tile) -> Vec<u8> {
     }
     put_sparse(&mut out, &tile.observed[..]);
     put_sparse(&mut out, &tile.support[..]);
-    out.put(u64::from(tile.datum.passes));
-    for sum in [tile.datum.shift_mm[0], tile.datum.shift_mm[1], tile.datum.yaw_urad] {
+    put_datum(&mut out, &tile.datum);
+    let format = if tile.datum.declared.passes > 0 { DECLARED_TILE } else { TILE };
+    format.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
+}
+
+/// A datum; the sums of passes that declared something follow only where there are any.
+pub(super) fn put_datum(out: &mut VarintWriter, datum: &Datum) {
+    out.put(u64::from(datum.passes));
+    for sum in [datum.shift_mm[0], datum.shift_mm[1], datum.yaw_urad] {
         out.put_signed(sum);
     }
-    let declared = &tile.datum.declared;
-    let format = if declared.passes > 0 { DECLARED_TILE } else { TILE };
-    if declared.passes > 0 {
-        put_declared(&mut out, declared);
+    if datum.declared.passes > 0 {
+        put_declared(out, &datum.declared);
     }
-    format.seal(&sealed::compressed(&out.bytes, ZSTD_LEVEL))
+}
+
+/// What [`put_datum`] wrote.
+pub(super) fn datum(input: &mut impl Varints, has_declared: bool) -> Option<Datum> {
+    let mut datum = Datum {
+        passes: input.get()?,
+        shift_mm: [input.get_signed()?, input.get_signed()?],
+        yaw_urad: input.get_signed()?,
+        ..Datum::default()
+    };
+    if has_declared {
+        datum.declared = declared(input, datum.passes)?;
+    }
+    Some(datum)
 }
 
 fn put_declared(out: &mut VarintWriter, sums: &DeclaredSums) {
@@ -112,15 +130,7 @@ fn tile(input: &mut impl Varints, has_declared: bool) -> Option<Tile> {
     let mut tile = Tile { cells: cells(input, count, base_day)?, ..Tile::default() };
     sparse(input, &mut tile.observed[..])?;
     sparse(input, &mut tile.support[..])?;
-    tile.datum = Datum {
-        passes: input.get()?,
-        shift_mm: [input.get_signed()?, input.get_signed()?],
-        yaw_urad: input.get_signed()?,
-        ..Datum::default()
-    };
-    if has_declared {
-        tile.datum.declared = declared(input, tile.datum.passes)?;
-    }
+    tile.datum = datum(input, has_declared)?;
     Some(tile)
 }
 

@@ -7,12 +7,14 @@
 
 mod codec;
 mod fold;
+mod layer;
 mod ledger;
 mod merge;
 mod published;
 mod votes;
 
 pub use codec::{DecodeError, decode, decode_ledger, encode, encode_ledger};
+pub use layer::{Grain, decode_layer, encode_layer};
 pub use ledger::Ledger;
 pub use published::Decay;
 

@@ -101,6 +101,8 @@ pub enum Experiment {
     Vetting,
     /// The size of uploads against the accuracy of the map.
     Upload,
+    /// The size of a vehicle's map against its accuracy.
+    Layer,
     /// How many contributors must have hit something near a cell for it to be served.
     Support,
     /// Whether answers may be believed, in families of worlds that nothing was tuned on.
@@ -124,8 +126,16 @@ impl Experiment {
     ];
 
     /// Experiments with their own towns and maps. They run only when they are named.
-    pub const OF_THE_CROWD: [Self; 7] =
-        [Self::Year, Self::Attacks, Self::Vetting, Self::Upload, Self::Support, Self::Trust, Self::Drives];
+    pub const OF_THE_CROWD: [Self; 8] = [
+        Self::Year,
+        Self::Attacks,
+        Self::Vetting,
+        Self::Upload,
+        Self::Layer,
+        Self::Support,
+        Self::Trust,
+        Self::Drives,
+    ];
 
     /// Its name on the command line.
     pub fn word(self) -> &'static str {
@@ -142,6 +152,7 @@ impl Experiment {
             Self::Attacks => "attacks",
             Self::Vetting => "vetting",
             Self::Upload => "upload",
+            Self::Layer => "layer",
             Self::Support => "support",
             Self::Trust => "trust",
             Self::Drives => "drives",
@@ -154,6 +165,7 @@ impl Experiment {
             Self::Localizability => "localizability.md",
             Self::Misses => "search.md",
             Self::Trust => "trust.md",
+            Self::Layer => "layer.md",
             Self::Drives => "drives.md",
             Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
             Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => {
@@ -188,6 +200,7 @@ impl Experiment {
             | Self::Attacks
             | Self::Vetting
             | Self::Upload
+            | Self::Layer
             | Self::Support
             | Self::Trust
             | Self::Drives => Vec::new(),

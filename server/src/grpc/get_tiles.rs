@@ -7,9 +7,12 @@ use std::iter;
 use std::sync::Arc;
 
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::tile::{Grain, encode_layer};
 use echofix_proto::v1::get_tiles_request::Selection;
 use echofix_proto::v1::get_tiles_response::Part;
-use echofix_proto::v1::{self, GetTilesRequest, GetTilesResponse, TileData, TilePiece, TilesSummary};
+use echofix_proto::v1::{
+    self, GetTilesRequest, GetTilesResponse, TileData, TileForm, TilePiece, TilesSummary,
+};
 use prost::Message;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
@@ -36,6 +39,7 @@ pub(super) type TileStream = ReceiverStream<Result<GetTilesResponse, Status>>;
 
 /// What to send.
 struct TransferPlan {
+    form: TileForm,
     /// Read before any tile: every tile is at least as new.
     epoch: u64,
     send: Vec<TileId>,
@@ -95,9 +99,12 @@ async fn send(
         absent: plan.absent.into_iter().map(tile_id).collect(),
     };
     for id in plan.send {
-        let tile = reader.read(move |store| store.tile(id).map_err(|error| status::store(&error))).await;
-        let tile = match tile {
-            Ok(Some(tile)) => tile,
+        let read = reader.read(move |store| {
+            let tile = store.tile(id).map_err(|error| status::store(&error))?;
+            Ok(tile.map(|tile| (store.wire_version(tile.version), encoded(&tile, plan.form))))
+        });
+        let (version, encoded) = match read.await {
+            Ok(Some(read)) => read,
             // Taken back since the catalog was asked.
             Ok(None) => {
                 summary.absent.push(tile_id(id));
@@ -110,8 +117,7 @@ async fn send(
             }
         };
         summary.sent += 1;
-        let version = reader.store.wire_version(tile.version);
-        for part in parts(id, &tile, version) {
+        for part in parts(id, &encoded, version) {
             let message = GetTilesResponse { part: Some(part) };
             let patience = pace.stall + pace.time_for(message.encoded_len());
             if sender.send_timeout(Ok(message), patience).await.is_err() {
@@ -124,9 +130,16 @@ async fn send(
     let _ = sender.send_timeout(Ok(last), pace.stall).await;
 }
 
+/// The bytes of a tile in a form.
+fn encoded(tile: &StoredTile, form: TileForm) -> Vec<u8> {
+    match form {
+        TileForm::Whole => tile.encoded(),
+        TileForm::Layer => encode_layer(&tile.tile, &Grain::VEHICLE),
+    }
+}
+
 /// A tile as messages, each made when it is its turn.
-fn parts(id: TileId, tile: &StoredTile, version: u64) -> impl Iterator<Item = Part> {
-    let encoded = tile.encoded();
+fn parts(id: TileId, encoded: &[u8], version: u64) -> impl Iterator<Item = Part> {
     let first = TileData {
         version: Some(v1::TileVersion { tile: Some(tile_id(id)), version }),
         encoded: encoded[..encoded.len().min(MAX_PIECE)].to_vec(),
@@ -142,9 +155,11 @@ fn parts(id: TileId, tile: &StoredTile, version: u64) -> impl Iterator<Item = Pa
 fn plan(store: &dyn MapStore, request: GetTilesRequest) -> Result<TransferPlan, Status> {
     let epoch = store.progress().borrow().epoch;
     let have = have(request.have).map_err(|violation| status::invalid(&violation))?;
+    let form = TileForm::try_from(request.form)
+        .map_err(|_| status::invalid(&InvalidField::new("form", "is no form that this service knows")))?;
     let selection = required(request.selection, "selection").map_err(|v| status::invalid(&v))?;
     let (mut plan, mut asked) =
-        (TransferPlan { epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
+        (TransferPlan { form, epoch, send: Vec::new(), unchanged: 0, absent: Vec::new() }, BTreeSet::new());
     let found = match selection {
         Selection::Tiles(list) => {
             asked.extend(ids(&list.ids, "tiles.ids").map_err(|violation| status::invalid(&violation))?);

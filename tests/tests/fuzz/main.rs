@@ -25,7 +25,7 @@ use echofix_client::drivelog;
 use echofix_client::upload::spool::{Spool, SpoolLimits};
 use echofix_core::drive::Drive;
 use echofix_core::evidence::codec::{self, DeltaLimits};
-use echofix_core::tile;
+use echofix_core::tile::{self, Grain};
 use echofix_proto::v1::{LocalizeRequest, UploadRequest};
 use echofix_server::args::ServeArgs;
 use echofix_server::grpc::LocalizationApi;
@@ -136,15 +136,24 @@ fn evidence() {
     });
 }
 
-/// Catches: tiles and ledgers that panic; a tile that is read and written as another one.
+/// Catches: tiles, layers and ledgers that panic or take memory that their bytes do not stand for; a tile that is read and written as another one.
 #[test]
-fn tile_and_ledger() {
+fn tile_layer_and_ledger() {
     fuzz("tile", Seal::Sealed, tiles(), &mut |input| {
         if let Ok(read) = tile::decode(input)
             && tile::decode(&tile::encode(&read)).ok() != Some(read)
         {
             return Err("it is written as another one".to_owned());
         }
+        Ok(())
+    });
+    let layer = |tile: &Vec<u8>| {
+        let tile = tile::decode(tile).expect("the fixture is sound");
+        [Grain::VEHICLE, Grain { side: 1, steps: 15, kept: 1.0 }]
+            .map(|grain| tile::encode_layer(&tile, &grain))
+    };
+    fuzz("layer", Seal::Sealed, tiles().iter().flat_map(layer).collect(), &mut |input| {
+        let _ = tile::decode_layer(input);
         Ok(())
     });
     let ledger = tile::encode_ledger(&tile::Ledger::default());

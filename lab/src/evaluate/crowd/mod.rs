@@ -4,11 +4,12 @@
 //! - [`map`]: a map that is made as the service makes it; [`fixes`]: localizes a drive on it.
 //! - [`year`]: how maps age; [`attack`], [`attacks`]: what bad contributors can do.
 //! - [`vetting`]: which uploads vetting keeps out; [`support`]: how many contributors must agree for a cell to be served.
-//! - [`size`]: the size of uploads against the accuracy of the map.
+//! - [`size`]: the size of uploads against the accuracy of the map; [`layer`]: of what a vehicle keeps of it.
 
 pub mod attack;
 pub mod attacks;
 pub mod fixes;
+pub mod layer;
 pub mod map;
 pub mod size;
 pub mod support;
@@ -104,6 +105,7 @@ pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Crowd
         Experiment::Attacks => attacks::run(scale)?,
         Experiment::Vetting => vetting::run(scale)?,
         Experiment::Upload => size::run(scale)?,
+        Experiment::Layer => layer::run(scale)?,
         Experiment::Support => support::run(scale)?,
         _ => return Ok(None),
     }))
