@@ -140,9 +140,6 @@ fn started(
     Ok(Arc::new(StoreContext::new(backend, settings, journal, index, progress, served)))
 }
 
-/// Tiles that are read, at most, to say why a place is not served.
-const WITHHELD_TILES: usize = 9;
-
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
         self.shared.backend.pseudonyms.hash(pseudonym)
@@ -198,15 +195,8 @@ impl MapStore for EmbeddedStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Option<Withheld>, Error> {
-        let generation = self.shared.readable()?;
-        let mut found = None;
-        for info in generation.catalog().block(zone, &x, &y).into_iter().take(WITHHELD_TILES) {
-            let Some((_, tile)) = generation.tiles.stored(info.id)? else { continue };
-            let most = tile.support().iter().copied().max().unwrap_or(0);
-            found = found.max(Some(most).filter(|_| !tile.is_empty()));
-        }
         let needed = self.shared.settings.policy.publish_contributors;
-        Ok(found.map(|contributors| Withheld { contributors, needed }))
+        Ok(self.shared.readable()?.catalog().withheld((zone, &x, &y), needed))
     }
 
     fn zones(&self) -> Vec<Zone> {
@@ -216,8 +206,9 @@ impl MapStore for EmbeddedStore {
     fn totals(&self) -> Totals {
         let compacted = self.shared.compacted_uploads.load(Ordering::Relaxed);
         let uploads = compacted + self.shared.index.uploads();
-        let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads));
-        totals.unwrap_or(Totals { uploads, ..Totals::default() })
+        let needed = self.shared.settings.policy.publish_contributors;
+        let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads, needed));
+        totals.unwrap_or(Totals { uploads, needed, ..Totals::default() })
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {
