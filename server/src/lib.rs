@@ -18,6 +18,7 @@
 //! - [`feed`]: the last fixes and uploads, for operators to watch; in memory only.
 //! - [`health`]: is the service alive, is it ready, and if not, why.
 //! - [`metrics`]: what the service counts.
+//! - [`version`]: which build runs.
 //! - [`trace`]: an id and a span for every request, in every log line that belongs to it.
 
 pub mod args;
@@ -39,3 +40,4 @@ pub mod shares;
 mod sparse;
 pub mod store;
 pub mod trace;
+pub mod version;

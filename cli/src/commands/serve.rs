@@ -4,7 +4,7 @@ use std::io::Write;
 use std::time::Duration;
 
 use echofix_server::args::ServeArgs;
-use echofix_server::{log, run as service};
+use echofix_server::{log, run as service, version};
 use tokio::sync::oneshot;
 
 /// How long the process waits, at its end, for threads that still work.
@@ -25,6 +25,7 @@ pub struct Args {
 /// # Errors
 /// When the configuration is wrong, a port is taken or the store does not open.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    version::set_commit(env!("ECHOFIX_BUILT_FROM"));
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let signalled = {
         let _within = runtime.enter();

@@ -63,6 +63,7 @@ use crate::metrics::Metrics;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
 use error::Error;
+pub use files::LAST_BACKUP;
 pub use origin::Hosts;
 pub use quarantine::quarantine_event;
 
@@ -119,6 +120,7 @@ pub fn router_at(state: HttpState, hosts: Hosts, gate: Arc<Gate>) -> Router {
         .layer(from_fn_with_state(Arc::clone(&app), access::guard))
         .layer(from_fn_with_state(Arc::new(hosts), origin::guard))
         .layer(from_fn(limits::guard))
+        .layer(from_fn_with_state(Arc::clone(&app), probes::counted))
         .layer(RequestSpanLayer::http())
         .with_state(app)
 }

@@ -3,6 +3,8 @@
 //! - [`calls`]: what holds for every call of the vehicles' port.
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
+//! - [`counted`]: each gRPC call is counted.
+//! - [`figures`]: what is looked up when somebody reads the metrics.
 //! - [`follow`]: health and metrics follow the store.
 //! - [`retention`]: old uploads are compacted.
 //! - [`quarantine`]: what vetting keeps out is told.
@@ -10,6 +12,8 @@
 
 mod calls;
 mod connections;
+mod counted;
+mod figures;
 mod follow;
 mod grpc;
 mod http;
@@ -163,6 +167,7 @@ impl Server {
             rates: Arc::new(rates),
             lanes,
         };
+        figures::of_store(&shared);
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
     }
 

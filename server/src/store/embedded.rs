@@ -13,9 +13,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview, Proposal,
-    QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
-    Verified, Withheld, io_error,
+    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview,
+    Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
+    UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::backend::Backend;
 use crate::store::local;
@@ -232,6 +232,10 @@ impl Operations for EmbeddedStore {
 
     fn preview(&self, proposal: &Proposal) -> Result<Preview, Error> {
         decide::preview(&self.shared, proposal)
+    }
+
+    fn folding(&self) -> FoldingFigures {
+        self.shared.folding()
     }
 
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
