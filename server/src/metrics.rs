@@ -281,6 +281,37 @@ mod tests {
         metrics.render_classic()
     }
 
+    /// Catches: a dashboard or an alert that looks at a metric which the service does not have, and so never shows anything.
+    #[test]
+    fn dashboards_and_alerts_name_metrics_that_there_are() {
+        let text = filled();
+        let kinds = text.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split_once(' '));
+        let mut known = std::collections::BTreeSet::new();
+        for (name, kind) in kinds {
+            known.insert(name.to_owned());
+            if kind == "histogram" {
+                known.extend(["_bucket", "_sum", "_count"].map(|end| format!("{name}{end}")));
+            }
+        }
+        for (file, text, least) in [
+            ("dashboard", include_str!("../../docker/monitoring/echofix-dashboard.json"), 20),
+            ("alerts", include_str!("../../docker/monitoring/echofix-alerts.yaml"), 9),
+        ] {
+            let word = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+            let named = text
+                .split(word)
+                .filter(|name| ["echofix_", "process_"].iter().any(|prefix| name.starts_with(prefix)));
+            let named: std::collections::BTreeSet<_> = named.collect();
+            assert!(named.len() >= least, "{file}: {named:?}");
+            for name in named {
+                assert!(known.contains(name), "{file} names {name}");
+            }
+        }
+        let dashboard = include_str!("../../docker/monitoring/echofix-dashboard.json");
+        let dashboard: serde_json::Value = serde_json::from_str(dashboard).unwrap();
+        assert!(dashboard["panels"].as_array().unwrap().len() > 10);
+    }
+
     /// Catches: names that `promtool check metrics` finds fault with: counters without `_total`, others with it, no help, no base
     /// unit, and a family that is described twice.
     #[test]

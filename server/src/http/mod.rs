@@ -65,7 +65,7 @@ use crate::trace::RequestSpanLayer;
 use error::Error;
 pub use files::LAST_BACKUP;
 pub use origin::Hosts;
-pub use quarantine::quarantine_event;
+pub use quarantine::{alarm_message, quarantine_event};
 
 /// What the routes answer from.
 #[derive(Clone)]

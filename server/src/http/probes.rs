@@ -97,7 +97,7 @@ mod tests {
             ("text/plain;version=0.0.4;q=0.5,*/*;q=0.1", CLASSIC),
             ("application/openmetrics-text;version=1.0.0,text/plain;version=0.0.4;q=0.5", OPEN_METRICS),
         ] {
-            let answer = site.send(axum::http::Method::GET, "/metrics", &[("accept", accept)]).await;
+            let answer = site.send(Method::GET, "/metrics", &[("accept", accept)]).await;
             assert_eq!(answer.headers()["content-type"], kind, "{accept}");
         }
     }

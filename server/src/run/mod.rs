@@ -8,6 +8,7 @@
 //! - [`follow`]: health and metrics follow the store.
 //! - [`retention`]: old uploads are compacted.
 //! - [`quarantine`]: what vetting keeps out is told.
+//! - [`webhook`]: alarms are sent to where somebody is woken.
 //! - [`signals`]: when to end.
 
 mod calls;
@@ -20,6 +21,7 @@ mod http;
 mod quarantine;
 mod retention;
 mod signals;
+mod webhook;
 
 use std::future::Future;
 use std::io;
