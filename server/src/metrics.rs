@@ -277,7 +277,10 @@ mod tests {
         metrics.refusals.get_or_create(&ReasonLabel { reason: "NO_MAP".to_owned() }).inc();
         metrics.connections.get_or_create(&PortLabel { port: "grpc" }).inc();
         metrics.connections_turned_away.get_or_create(&PortLabel { port: "grpc" }).inc();
-        metrics.look_up(|figures| figures.vetted.set("AGREES", 3));
+        metrics.look_up(|figures| {
+            figures.vetted.set("AGREES", 3);
+            figures.tile_cache.set("hit", 1);
+        });
         metrics.render_classic()
     }
 
