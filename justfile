@@ -48,3 +48,7 @@ bench *ARGS:
 # All that must hold before a change lands.
 ci:
     bash .ci/run
+
+# What is released, into dist/: binary, Debian package, SBOM, image, checksums. What cannot be made is said as NOT MADE.
+release *ARGS:
+    bash .ci/release {{ ARGS }}

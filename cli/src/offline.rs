@@ -35,7 +35,7 @@ impl CachedMap {
         for (id, _) in cache.versions() {
             let Some((version, tile)) = cache.tile(id)? else { continue };
             let (cells, newest_day) = (tile.len() as u32, tile.newest_day());
-            infos.push(TileInfo { id, version, cells, newest_day, bytes: 0 });
+            infos.push(TileInfo { id, version, cells, newest_day, bytes: 0, waiting: 0 });
         }
         infos.sort_unstable_by_key(|info| info.id);
         // Versions on the wire are no epochs; what is cached is one state of the map.

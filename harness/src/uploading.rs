@@ -15,7 +15,7 @@ use indicatif::ProgressBar;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
-pub use outcome::{Interrupted, RepeatedError, Spooled, UploadedDrive};
+pub use outcome::{Interrupted, Publication, RepeatedError, Spooled, UploadedDrive};
 
 use crate::recording::{RecordedDrive, record};
 

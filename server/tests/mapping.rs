@@ -116,6 +116,7 @@ async fn an_upload_comes_back_as_tiles() {
     let day = u32::from(day_of(NOON_US));
     assert!(coverage.cells[0] > 20 && coverage.cells[1..] == [0, 0], "{coverage:?}");
     assert_eq!(coverage.newest_day, [day, 0, 0]);
+    assert_eq!(coverage.contributors, [0; 3], "nothing waits where one contributor is enough");
     server.stop().await;
 }
 

@@ -10,6 +10,7 @@ use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::point::MapPoint;
 use echofix_core::time::DAY_US;
+use echofix_proto::v1::GetCoverageRequest;
 use echofix_sim::City;
 use echofix_tests::asking;
 use echofix_tests::crowd::{bytes, cells, hits, quarantine, shifted, street, turned, upload};
@@ -80,6 +81,59 @@ async fn a_street_is_served_from_the_third_contributor_on() {
     assert!(cells(&tiles::all(&service).await).len() > 1_000);
     let outcomes = visit(&service, &city).await;
     assert!(outcomes.iter().any(|word| word == "ANSWERED"), "{outcomes:?}");
+}
+
+/// Catches: a map that is empty, or a command that says all went well, without a word about what is missing; and a service that has
+/// forgotten it after a restart.
+#[tokio::test(flavor = "multi_thread")]
+async fn why_a_street_is_not_served_is_told_wherever_one_looks() {
+    let city = the_town();
+    let mut service = Service::start_with(&[THREE]);
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("street.mcap");
+    echofix_client::drivelog::write(&log, &street(&city, 0, "anna")).expect("the drive is written");
+    let spool = folder.path().join("spool");
+    let map = |more: &[&str]| {
+        let (log, spool) = (log.to_str().unwrap(), spool.to_str().unwrap());
+        command::echofix([&["map", log, "--server", &service.grpc, "--spool", spool][..], more].concat())
+    };
+    let mapped = map(&["--json"]).json();
+    let served = &mapped["result"]["served"];
+    assert!(served["tiles"].as_u64() > Some(2) && served["waiting"] == served["tiles"], "{served}");
+    assert_eq!((&served["contributors"], &served["needed"]), (&json!(1), &json!(3)), "{served}");
+    let told = map(&[]).stdout;
+    assert!(told.contains("nothing is served yet: ") && told.contains("1 contributor has seen"), "{told}");
+
+    let waiting =
+        |service: &Service| http::get(&format!("{}/api/v1/map", service.http)).json()["waiting"].clone();
+    let first = waiting(&service);
+    assert!(
+        first["tiles"].as_u64() > Some(2) && first["contributors"] == 1 && first["needed"] == 3,
+        "{first}"
+    );
+    let status = command::echofix(["status", "--http", &service.http]).stdout;
+    assert!(status.contains("nothing is served yet: ") && status.contains("3 are needed"), "{status}");
+
+    let at = asking::requests(&street(&city, 20, "visitor"), 8.0, 1).remove(0).request;
+    let prior = at.prior.and_then(|prior| prior.pose).expect("a question has a prior");
+    let route = GetCoverageRequest {
+        latitude_deg: vec![prior.latitude_deg, prior.latitude_deg + 0.5],
+        longitude_deg: vec![prior.longitude_deg; 2],
+        expectations: false,
+    };
+    let coverage = grpc::reading(&service).await.get_coverage(route.clone()).await.unwrap().into_inner();
+    assert_eq!((coverage.cells, coverage.contributors), (vec![0, 0], vec![1, 0]));
+    assert_eq!(coverage.contributors_needed, 3);
+
+    service.kill();
+    service.start_again();
+    assert_eq!(waiting(&service), first, "after a restart");
+    crowd(&service, &city, &["boris", "carla", "dora"]).await;
+    folded(&service).await;
+    let left = waiting(&service);
+    assert!(left["tiles"].as_u64() < first["tiles"].as_u64(), "{left}");
+    let coverage = grpc::reading(&service).await.get_coverage(route).await.unwrap().into_inner();
+    assert!(coverage.cells[0] > 100 && coverage.contributors == [0, 0], "{coverage:?}");
 }
 
 /// The uploads kept out from an epoch on.

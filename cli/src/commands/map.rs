@@ -7,12 +7,14 @@ use echofix_client::upload::{RecorderConfig, UploadForm};
 use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_harness::credentials::Credentials;
 use echofix_harness::progress;
-use echofix_harness::uploading::{Interrupted, Spooled, UploadedDrive, upload_to};
+use echofix_harness::uploading::{Interrupted, Publication, Spooled, UploadedDrive, upload_to};
 use tokio::sync::watch;
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
+use super::publication::publication;
 use super::ranges::within;
+use super::status::why_waiting;
 
 /// The operators' words, where they are needed first.
 const WORDS: &str = "\
@@ -152,10 +154,12 @@ async fn map_drive(
     let bar = progress::bar("uploads acknowledged", 0, json);
     let patience = Duration::from_secs_f64(args.patience_s);
     let service = credentials.endpoint(&args.server)?;
+    let asked = service.clone();
     let uploaded =
         upload_to(&drive, service, &args.spool, config, (patience, interrupted.clone()), &bar).await;
     bar.finish_and_clear();
     let mut done = uploaded.inspect_err(|_| super::tell(&flaws))?;
+    done.served = publication(&asked, &done).await;
     flaws.add(std::mem::take(&mut done.flaws));
     done.flaws = flaws;
     report(&path.display().to_string(), &done, json)
@@ -189,6 +193,11 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
             done.days_behind_map
         );
     }
+    if let Some(Publication { tiles, waiting, contributors, needed }) = done.served
+        && let Some(why) = why_waiting((waiting, tiles), contributors.into(), needed.into())
+    {
+        println!("  {why}");
+    }
     if done.refused > 0 {
         println!("  {} were refused (see refused/ in the spool)", done.refused);
     }
@@ -206,7 +215,7 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use echofix_harness::uploading::UploadedDrive;
+    use echofix_harness::uploading::{Publication, UploadedDrive};
     use serde_json::Value;
 
     /// Catches: a schema that describes another command than this one.
@@ -229,6 +238,11 @@ mod tests {
         let result = &schema["$defs"]["map"]["properties"]["result"];
         assert_eq!(printed(&done).into_iter().collect::<Vec<_>>(), described(result));
         assert_eq!(printed(&done), printed(&result["properties"]));
+        let served = serde_json::to_value(Publication::default()).unwrap();
+        assert_eq!(
+            printed(&served).into_iter().collect::<Vec<_>>(),
+            described(&result["properties"]["served"])
+        );
         for part in ["flaws", "left_out"] {
             let names: Vec<_> = printed(&done[part]).into_iter().collect();
             assert_eq!(names, described(&schema["$defs"][part]), "{part}");

@@ -9,6 +9,7 @@ pub mod import;
 pub mod localize;
 pub mod map;
 mod map_operations;
+mod publication;
 mod ranges;
 pub mod serve;
 pub mod shell;

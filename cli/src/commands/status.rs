@@ -56,10 +56,52 @@ fn print_status(ready: &Value, map: &Value) {
         println!("{:<20} {date:>12}", "newest evidence");
     }
     println!("{:<20} {:>12}", "epoch", number(&map["epoch"]));
-    if number(&totals["tiles"]) > 0 && number(&totals["cells"]) == 0 {
-        println!(
-            "nothing of it is served yet: every place was seen by fewer contributors than the service's \
-             mapping.publish_contributors asks for (`echofix serve --print-config` shows it)"
+    let waiting = &map["waiting"];
+    let of = |key: &str| number(&waiting[key]);
+    if let Some(why) = why_waiting((of("tiles"), number(&totals["tiles"])), of("contributors"), of("needed"))
+    {
+        println!("{why}");
+    }
+}
+
+/// Why so many tiles `of` all are not served yet, when the most contributors that saw the same in one of them are so many; nothing
+/// where none waits.
+pub(super) fn why_waiting((tiles, of): (u64, u64), contributors: u64, needed: u64) -> Option<String> {
+    if tiles == 0 {
+        return None;
+    }
+    let whole = if tiles == of { "nothing is served yet: " } else { "" };
+    let wait = if tiles == 1 { "waits" } else { "wait" };
+    let many = format!("{whole}{tiles} of {of} tiles {wait} for more contributors");
+    if contributors >= needed {
+        return Some(format!("{many}; what was seen there is not confirmed by enough of them"));
+    }
+    let (have, are) = (
+        if contributors == 1 { "contributor has" } else { "contributors have" },
+        if needed == 1 { "is" } else { "are" },
+    );
+    Some(format!(
+        "{many}; at most {contributors} {have} seen the same there, and {needed} {are} needed \
+         (the service's mapping.publish_contributors)"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches: a map that is silent about why it is empty, and one that calls a part of it the whole.
+    #[test]
+    fn what_waits_is_told_with_how_many_are_needed() {
+        assert_eq!(why_waiting((0, 5), 0, 3), None);
+        let all = why_waiting((5, 5), 1, 3).unwrap();
+        assert!(
+            all.starts_with("nothing is served yet: 5 of 5 tiles wait") && all.contains("1 contributor has"),
+            "{all}"
         );
+        let one = why_waiting((1, 5), 2, 3).unwrap();
+        assert!(one.starts_with("1 of 5 tiles waits") && one.contains("2 contributors have"), "{one}");
+        assert!(one.contains("3 are needed"), "{one}");
+        assert!(why_waiting((1, 5), 3, 3).unwrap().contains("not confirmed"));
     }
 }

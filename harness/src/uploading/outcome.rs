@@ -1,6 +1,6 @@
 //! What came of a drive's uploads.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 
 use anyhow::bail;
@@ -37,6 +37,19 @@ pub struct Spooled {
     pub lost: u64,
 }
 
+/// What is served of the tiles that a drive's uploads lie in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Publication {
+    /// The tiles.
+    pub tiles: u64,
+    /// Of those, tiles around which nothing is served yet, because too few contributors have seen the same there.
+    pub waiting: u64,
+    /// The most contributors that have, in one of those.
+    pub contributors: u32,
+    /// Contributors that are needed.
+    pub needed: u32,
+}
+
 /// What came of a drive's uploads.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct UploadedDrive {
@@ -66,6 +79,14 @@ pub struct UploadedDrive {
     pub findings: Vec<String>,
     /// Records that could not be used.
     pub flaws: DriveFlaws,
+    /// What of it is served; none where the service did not fold it in time, or does not tell.
+    pub served: Option<Publication>,
+    /// The tiles of its acknowledged uploads: EPSG code, x and y.
+    #[serde(skip)]
+    pub tiles: BTreeSet<(u32, i32, i32)>,
+    /// The epoch from which on the map shows all of them.
+    #[serde(skip)]
+    pub epoch: u64,
     /// Ids of its uploads that were acknowledged.
     #[serde(skip)]
     pub(super) settled: HashSet<String>,
@@ -78,6 +99,9 @@ impl UploadedDrive {
             // What lay in the spool and was recorded again meanwhile is sent twice, and is one upload.
             UploadEvent::Acknowledged(answer) if self.settled.contains(&answer.upload_id) => {}
             UploadEvent::Acknowledged(answer) if own.contains(&answer.upload_id) => {
+                let tiles = answer.tiles.iter().filter_map(|contribution| contribution.tile);
+                self.tiles.extend(tiles.map(|tile| (tile.epsg, tile.x, tile.y)));
+                self.epoch = self.epoch.max(answer.epoch);
                 self.settled.insert(answer.upload_id);
                 self.uploads += 1;
                 self.duplicates += u64::from(answer.duplicate);

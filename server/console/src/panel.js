@@ -10,7 +10,7 @@ const SHOWN_UPLOADS = 6;
 const RECENT = 200;
 
 export function showTotals(map) {
-  const { totals } = map;
+  const { totals, waiting } = map;
   const [bytes, unit] = size(totals.bytes);
   numbers(byId('totals'), [
     ['epoch', count(map.epoch)],
@@ -19,8 +19,26 @@ export function showTotals(map) {
     ['cells', count(totals.cells)],
     ['stored', bytes, unit],
     ['newest', totals.newest_date ?? 'none'],
+    ...(waiting.tiles ? [['waiting', count(waiting.tiles)]] : []),
   ]);
-  byId('empty').hidden = totals.tiles > 0;
+  byId('waits').hidden = waiting.tiles === 0;
+  byId('waits').textContent = whyWaiting(waiting);
+  // Tiles that wait are not served: they leave the map as empty as none.
+  byId('empty').hidden = totals.tiles > waiting.tiles;
+  byId('empty-none').hidden = waiting.tiles > 0;
+  byId('empty-waits').hidden = waiting.tiles === 0;
+  byId('empty-waits').textContent = whyWaiting(waiting);
+}
+
+/** Why tiles are not served yet, in words. */
+function whyWaiting({ tiles, contributors, needed }) {
+  const many = tiles === 1 ? '1 tile waits' : `${count(tiles)} tiles wait`;
+  const seen = contributors === 1 ? '1 contributor has' : `${count(contributors)} contributors have`;
+  const then =
+    contributors < needed ?
+      `${seen} seen the same there at most, and ${count(needed)} are needed (mapping.publish_contributors).`
+    : 'What was seen there is not confirmed by enough contributors.';
+  return `${many} for more contributors: ${then}`;
 }
 
 export function showProgress({ state, epoch, journaled }) {

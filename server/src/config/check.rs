@@ -33,6 +33,7 @@ impl Config {
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
             return Err(Error::OutOfRange { key, rule });
         }
+        self.alarms.secret()?;
         identity::check(&self.tls, &self.identity, &[])?;
         let filter = EnvFilter::builder().parse(&self.log.filter);
         let refused = |error: &dyn std::fmt::Display| Error::Malformed {
@@ -249,12 +250,35 @@ fn ages(mapping: &MappingConfig) -> Rule {
 }
 
 fn alarms(alarms: &AlarmsConfig) -> Vec<Rule> {
-    let AlarmsConfig { contributors, within_m, shift_m, turn_deg } = *alarms;
+    let AlarmsConfig { contributors, within_m, shift_m, turn_deg, .. } = *alarms;
+    let url =
+        |text: &str| reqwest::Url::parse(text).ok().filter(|url| ["http", "https"].contains(&url.scheme()));
+    let sound = |text: &str| text.is_empty() || url(text).is_some();
+    let secret = !alarms.webhook_secret.as_os_str().is_empty();
+    let kept = url(&alarms.webhook).is_some_and(|url| {
+        url.scheme() == "https"
+            || url.host_str().is_some_and(|host| ["localhost", "127.0.0.1", "[::1]"].contains(&host))
+    });
     vec![
         ("alarms.contributors", contributors >= 2, "must be at least 2: one alone may just be wrong"),
         ("alarms.within_m", within(within_m, 10_000.0), "must be above 0 and at most 10000"),
         ("alarms.shift_m", within(shift_m, 100.0), "must be above 0 and at most 100"),
         ("alarms.turn_deg", within(turn_deg, 180.0), "must be above 0 and at most 180"),
+        (
+            "alarms.webhook",
+            sound(&alarms.webhook),
+            "must be empty, or a URL such as `https://alerts.example.com/echofix`",
+        ),
+        (
+            "alarms.webhook_secret",
+            !secret || kept,
+            "needs an alarms.webhook of https, or of this machine: anybody could read it on the way",
+        ),
+        (
+            "alarms.console",
+            sound(&alarms.console),
+            "must be empty, or the console's URL such as `https://maps.example.com`",
+        ),
     ]
 }
 

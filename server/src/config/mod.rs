@@ -9,6 +9,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use axum::http::HeaderValue;
 use echofix_core::vetting::alarm::AlarmLimits;
 use serde::{Deserialize, Serialize};
 
@@ -137,14 +138,43 @@ pub struct AlarmsConfig {
     pub shift_m: f64,
     /// By how much their turns differ at most, degrees.
     pub turn_deg: f64,
+    /// Where new alarms are sent to; nowhere when empty.
+    pub webhook: String,
+    /// The file with the bearer token that goes with them; none when empty.
+    pub webhook_secret: PathBuf,
+    /// The console's address, as messages name it; none when empty.
+    pub console: String,
 }
 
 impl AlarmsConfig {
     /// The same for those who compute.
     #[must_use]
     pub fn limits(&self) -> AlarmLimits {
-        let Self { contributors, within_m, shift_m, turn_deg } = *self;
+        let Self { contributors, within_m, shift_m, turn_deg, .. } = *self;
         AlarmLimits { contributors, within_m, shift_m, yaw_rad: turn_deg.to_radians() }
+    }
+
+    /// The header that goes with what is sent to the webhook: the bearer token of the file. Reads it.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or does not hold one line that a header can be.
+    pub fn secret(&self) -> Result<Option<HeaderValue>, Error> {
+        if self.webhook_secret.as_os_str().is_empty() {
+            return Ok(None);
+        }
+        let path = self.webhook_secret.clone();
+        let text = std::fs::read_to_string(&path).map_err(|source| Error::Read { path, source })?;
+        let token = text.trim();
+        let wrong = Error::OutOfRange {
+            key: "alarms.webhook_secret",
+            rule: "must name a file with one line: the token, without `Bearer`",
+        };
+        let mut value = match HeaderValue::from_str(&format!("Bearer {token}")) {
+            Ok(value) if !token.is_empty() && !token.contains(' ') => value,
+            _ => return Err(wrong),
+        };
+        value.set_sensitive(true);
+        Ok(Some(value))
     }
 }
 

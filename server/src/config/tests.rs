@@ -165,6 +165,10 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
         ("http.cors_origins", "[\"null\"]"),
         ("http.cors_origins", "[\"*\", \"\"]"),
         ("limits.stall_s", "601"),
+        ("alarms.webhook", "alerts.example.com"),
+        ("alarms.webhook", "ftp://alerts.example.com"),
+        ("alarms.webhook_secret", "/nowhere/token"),
+        ("alarms.console", "maps"),
     ];
     let cases = [each(&numbers, many), each(&floats, "1e17"), each(&floats, "nan"), others.to_vec()].concat();
     for (key, value) in cases {
@@ -179,6 +183,27 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
     }
     let config = load(None, &[("ECHOFIX_HTTP_HOSTS", "[\"maps.example.com\"]")], &[]).unwrap();
     assert_eq!(config.http.hosts, ["maps.example.com"]);
+}
+
+/// Catches: a secret that is sent in the open, and one that is found to be none when the first alarm comes.
+#[test]
+fn the_secret_of_the_webhook_is_checked_with_the_rest() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("token");
+    let checked = |url: &str, token: &str| {
+        std::fs::write(&file, token).unwrap();
+        let file = file.to_str().unwrap();
+        load(None, &[], &[("alarms.webhook", url), ("alarms.webhook_secret", file)])
+    };
+    let config = checked("https://alerts.example.com/x", "s3cret\n").unwrap();
+    assert_eq!(config.alarms.secret().unwrap().unwrap(), "Bearer s3cret");
+    assert!(checked("http://127.0.0.1:9/x", "s3cret").is_ok());
+    for (url, token) in
+        [("http://alerts.example.com", "s3cret"), ("https://a.example", ""), ("https://a.example", "a\nb")]
+    {
+        let error = checked(url, token).unwrap_err().to_string();
+        assert!(error.contains("alarms.webhook_secret"), "{url}: {error}");
+    }
 }
 
 /// Catches: a value of a setting that changes its name with the code's.

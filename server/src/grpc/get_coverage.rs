@@ -67,7 +67,8 @@ fn coverage(
 ) -> Result<GetCoverageResponse, Status> {
     let epoch = store.progress().borrow().epoch;
     let mut reader = CoverageReader { store, grid: None, tiles: HashMap::new() };
-    let mut response = GetCoverageResponse { epoch, ..GetCoverageResponse::default() };
+    let contributors_needed = u32::from(store.totals().needed);
+    let mut response = GetCoverageResponse { epoch, contributors_needed, ..GetCoverageResponse::default() };
     for at in route {
         if patience.is_over() {
             return Err(status::gone());
@@ -79,6 +80,7 @@ fn coverage(
         };
         response.cells.push(seen.cells);
         response.newest_day.push(u32::from(seen.newest_day));
+        response.contributors.push(u32::from(seen.waiting));
     }
     Ok(response)
 }
@@ -136,6 +138,8 @@ fn expected_at(
 struct PointCoverage {
     cells: u32,
     newest_day: u16,
+    /// The most contributors that have seen what is not served yet, where nothing is.
+    waiting: u8,
 }
 
 struct CoverageReader<'a> {
@@ -156,7 +160,20 @@ impl CoverageReader<'_> {
                 look(&tile, id, centre, &mut seen);
             }
         }
+        if seen.cells == 0 {
+            seen.waiting = self.waiting(zone, centre)?;
+        }
         Ok(seen)
+    }
+
+    /// The most contributors that have seen anything of the tiles around a point of which nothing is served yet.
+    fn waiting(&self, zone: Zone, centre: MapPoint) -> Result<u8, store::Error> {
+        let mut most = 0;
+        for id in TileId::covering(zone, centre, RADIUS_M) {
+            let withheld = self.store.withheld(zone, id.x..=id.x, id.y..=id.y)?;
+            most = most.max(withheld.map_or(0, |withheld| withheld.contributors));
+        }
+        Ok(most)
     }
 
     fn tile(&mut self, id: TileId) -> Result<Option<Arc<Tile>>, store::Error> {

@@ -41,6 +41,11 @@ pub async fn map(State(app): State<Arc<App>>, peer: Peer, epoch: EpochParameter)
             "newest_day": totals.newest_day,
             "newest_date": (totals.tiles > 0).then(|| iso_date(totals.newest_day)),
         });
+        body["waiting"] = json!({
+            "tiles": totals.waiting_tiles,
+            "contributors": totals.waiting_contributors,
+            "needed": totals.needed,
+        });
         Ok(body)
     });
     Ok(fresh(body.await?))

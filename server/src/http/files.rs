@@ -71,6 +71,9 @@ pub async fn export(
     })
 }
 
+/// A file in the data directory that is as old as the last backup.
+pub const LAST_BACKUP: &str = "last-backup";
+
 /// `GET /api/v1/map/backup`
 pub async fn backup(
     State(app): State<Arc<App>>,
@@ -78,8 +81,14 @@ pub async fn backup(
     Extension(caller): Extension<Arc<Caller>>,
 ) -> Result<Response, Error> {
     audit(&caller, "take a backup", None, None);
-    streamed((&app, peer), "application/x-tar", "echofix-backup.tar", |operations, out| {
-        operations.backup(out)
+    let note = app.state.spool_dir.join(LAST_BACKUP);
+    streamed((&app, peer), "application/x-tar", "echofix-backup.tar", move |operations, out| {
+        let bytes = operations.backup(out)?;
+        // Its time says when: metrics tell how old the last backup is, after a restart, too.
+        if let Err(error) = File::create(&note) {
+            tracing::warn!(%error, "when the backup was taken could not be noted");
+        }
+        Ok(bytes)
     })
 }
 

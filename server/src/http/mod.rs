@@ -71,9 +71,10 @@ use crate::store::{MapStore, Operations};
 use crate::trace::{Port, RequestSpanLayer};
 pub use cors::{Origins, is_origin};
 use error::Error;
+pub use files::LAST_BACKUP;
 pub use origin::Hosts;
 pub use outside::is_base_path;
-pub use quarantine::quarantine_event;
+pub use quarantine::{alarm_message, quarantine_event};
 
 /// What the routes answer from.
 #[derive(Clone)]
@@ -148,7 +149,8 @@ pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
         .method_not_allowed_fallback(async || Error::MethodNotAllowed)
         .layer(from_fn_with_state(Arc::clone(&app), access::guard))
         .layer(from_fn_with_state(Arc::new(place), origin::guard))
-        .layer(from_fn(limits::guard));
+        .layer(from_fn(limits::guard))
+        .layer(from_fn_with_state(Arc::clone(&app), probes::counted));
     // Before anybody is asked who asks: a browser's question whether a page may ask carries nothing that says so.
     let routes = if let Some(cors) = cors { routes.layer(cors) } else { routes };
     let routes = routes.layer(RequestSpanLayer::http()).layer(AccessLogLayer(Port::Http)).with_state(app);

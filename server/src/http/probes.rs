@@ -1,15 +1,18 @@
 //! Alive, ready, counted.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use axum::Json;
-use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::IntoResponse;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 
 use super::App;
 use crate::health::{Readiness, ServiceReadiness};
+use crate::metrics::{HttpLabels, RouteLabel};
 use crate::store::MapProgress;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -61,6 +64,26 @@ pub async fn metrics(State(app): State<Arc<App>>, headers: HeaderMap) -> impl In
     ([(header::CONTENT_TYPE, OPEN_METRICS), vary], app.state.metrics.render())
 }
 
+/// Counts a request by its route, never by its path, and takes its time.
+pub async fn counted(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map_or("unknown", MatchedPath::as_str).to_owned();
+    let method = match *request.method() {
+        Method::GET => "GET",
+        Method::HEAD => "HEAD",
+        Method::POST => "POST",
+        Method::DELETE => "DELETE",
+        Method::OPTIONS => "OPTIONS",
+        _ => "other",
+    };
+    let began = Instant::now();
+    let answer = next.run(request).await;
+    let metrics = &app.state.metrics;
+    let seconds = metrics.http_seconds.get_or_create_owned(&RouteLabel { route: route.clone() });
+    seconds.observe(began.elapsed().as_secs_f64());
+    metrics.http.get_or_create(&HttpLabels { method, route, status: answer.status().as_u16() }).inc();
+    answer
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,9 +97,25 @@ mod tests {
             ("text/plain;version=0.0.4;q=0.5,*/*;q=0.1", CLASSIC),
             ("application/openmetrics-text;version=1.0.0,text/plain;version=0.0.4;q=0.5", OPEN_METRICS),
         ] {
-            let answer = site.send(axum::http::Method::GET, "/metrics", &[("accept", accept)]).await;
+            let answer = site.send(Method::GET, "/metrics", &[("accept", accept)]).await;
             assert_eq!(answer.headers()["content-type"], kind, "{accept}");
         }
+    }
+
+    /// Catches: requests that are told apart by what callers write into their paths.
+    #[tokio::test]
+    async fn requests_are_counted_by_route() {
+        let site = TestSite::default();
+        for path in ["/api/v1/tiles/32614/1/2", "/api/v1/tiles/32614/3/4", "/nowhere", "/nowhere/else"] {
+            site.get(path).await;
+        }
+        let text = site.state.metrics.render();
+        let count = |route: &str, status| {
+            let labels = format!("method=\"GET\",route=\"{route}\",status=\"{status}\"");
+            text.contains(&format!("echofix_http_requests_total{{{labels}}} 2\n"))
+        };
+        assert!(count("/api/v1/tiles/{epsg}/{x}/{y}", 404) && count("unknown", 404), "{text}");
+        assert!(!text.contains("32614") && !text.contains("nowhere"), "{text}");
     }
 
     #[tokio::test]

@@ -1,6 +1,6 @@
 //! What vetting kept out of the map, and what several contributors agree on.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use axum::extract::State;
@@ -82,6 +82,26 @@ fn alarm_json(alarm: &Alarm) -> Value {
         "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
         "place": place_json(alarm.zone, alarm.position),
     })
+}
+
+/// An alarm as the webhook is told: what it is, where, how many agree, who, and where to look.
+pub fn alarm_message(
+    alarm: &Alarm,
+    (kept_out, within_m): (&[QuarantinedRecord], f64),
+    console: &str,
+) -> Value {
+    let near = kept_out.iter().map(|record| record.upload).filter(|upload| {
+        let (east, north) =
+            (upload.position.x_m - alarm.position.x_m, upload.position.y_m - alarm.position.y_m);
+        upload.zone == alarm.zone && east.hypot(north) <= within_m
+    });
+    let near: BTreeSet<_> = near.map(|upload| hash_word(upload.contributor)).collect();
+    let mut message = alarm_json(alarm);
+    message["count"] = message["contributors"].take();
+    message["contributors"] = json!(near);
+    message["service"] = json!("echofix");
+    message["link"] = (!console.is_empty()).then(|| format!("{}/", console.trim_end_matches('/'))).into();
+    message
 }
 
 fn offset_json(offset: &Offset) -> Value {

@@ -155,6 +155,7 @@ impl FakeStore {
             cells: stored.tile.len() as u32,
             newest_day: stored.tile.newest_day(),
             bytes: stored.encoded().len() as u32,
+            waiting: 0,
         };
         tiles.iter().map(info).collect()
     }
@@ -221,6 +222,7 @@ impl MapStore for FakeStore {
             bytes: infos.iter().map(|t| u64::from(t.bytes)).sum(),
             uploads: 3,
             newest_day: infos.iter().map(|t| t.newest_day).max().unwrap_or(0),
+            ..Totals::default()
         }
     }
 

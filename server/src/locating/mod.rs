@@ -24,6 +24,7 @@ pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation
 
 use crate::patience::Patience;
 use crate::store::{self, MapStore, Withheld};
+pub use prepared_tiles::CacheFigures;
 use prepared_tiles::{PreparedTiles, PreparedWindow};
 pub use slots::Arriving;
 use slots::{ComputeSlot, ComputeSlots};
@@ -217,6 +218,11 @@ impl Locator {
         let tiles = PreparedTiles::new(config.tile_cache_mib);
         let slots = ComputeSlots::new(config.threads(), config.queue);
         Self { store, config, tiles, slots, checker: Mutex::default() }
+    }
+
+    /// What its cache of prepared tiles holds.
+    pub fn cache(&self) -> CacheFigures {
+        self.tiles.figures()
     }
 
     /// How it locates: the `[locating]` section.

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::geo::TileId;
@@ -48,6 +49,19 @@ pub(super) fn block(frame: MapSquare) -> (RangeInclusive<i32>, RangeInclusive<i3
 /// Prepared tiles by their versions.
 pub(super) struct PreparedTiles {
     tiles: Cache<PreparedKey, Arc<TileWeights>>,
+    hits: AtomicU64,
+    misses: AtomicU64,
+}
+
+/// What prepared tiles are in memory, and how often they were.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CacheFigures {
+    /// Bytes they take, by estimate.
+    pub bytes: u64,
+    /// Tiles that were asked for and there.
+    pub hits: u64,
+    /// Tiles that were asked for and had to be prepared.
+    pub misses: u64,
 }
 
 impl PreparedTiles {
@@ -56,7 +70,15 @@ impl PreparedTiles {
             .weigher(|_, tile: &Arc<TileWeights>| (tile.bytes() >> 10) as u32)
             .max_capacity(capacity_mib << 10)
             .build();
-        Self { tiles }
+        Self { tiles, hits: AtomicU64::new(0), misses: AtomicU64::new(0) }
+    }
+
+    pub(super) fn figures(&self) -> CacheFigures {
+        CacheFigures {
+            bytes: self.tiles.weighted_size() << 10,
+            hits: self.hits.load(Ordering::Relaxed),
+            misses: self.misses.load(Ordering::Relaxed),
+        }
     }
 
     /// The tiles of a map window; none where nothing is served. Blocks.
@@ -71,10 +93,14 @@ impl PreparedTiles {
         for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
             let key =
                 PreparedKey { id, day, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
+            let mut is_there = true;
             let tile = self.tiles.try_get_with_by_ref(&key, || {
-                found.cached = false;
+                is_there = false;
                 reading.prepare(&key)
             })?;
+            found.cached &= is_there;
+            let counted = if is_there { &self.hits } else { &self.misses };
+            counted.fetch_add(1, Ordering::Relaxed);
             if reading.is_late {
                 // The map moved on meanwhile: right now, and not for the next one who asks by this key.
                 self.tiles.invalidate(&key);

@@ -28,7 +28,7 @@ const AT_LEISURE: [&str; 2] = [
 /// Tells who watches whether the service serves.
 const WATCH: &str = "/grpc.health.v1.Health/Watch";
 /// Calls whose answers have no end of their own.
-const WITHOUT_END: [&str; 3] = [AT_LEISURE[0], AT_LEISURE[1], WATCH];
+pub(super) const WITHOUT_END: [&str; 3] = [AT_LEISURE[0], AT_LEISURE[1], WATCH];
 /// How long a watcher has to be told that the service does not serve, before its answer ends.
 const LAST_WORD: Duration = Duration::from_millis(300);
 /// When a caller whose stream was ended should come again: to whatever serves by then.

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use prometheus_client::metrics::counter::Counter;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpListener;
 use tokio::sync::futures::OwnedNotified;
@@ -20,6 +21,7 @@ use tonic::transport::server::Connected;
 
 use crate::config::LimitsConfig;
 use crate::identity::{self, Closing};
+use crate::metrics::{Metrics, PortLabel};
 use crate::shares::Peer;
 use crate::sparse;
 pub(super) use door::Door;
@@ -35,15 +37,19 @@ const REST: Duration = Duration::from_millis(50);
 pub(super) struct Acceptor {
     listener: TcpListener,
     registry: Registry,
+    turned_away: Counter,
     handshake: Duration,
     idle: Duration,
     door: Door,
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door) -> Self {
-        let registry = Registry::new(limits.connections, limits.address_share);
-        Self { listener, registry, handshake: limits.handshake(), idle: limits.idle(), door }
+    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door, metrics: &Metrics) -> Self {
+        let port = PortLabel { port: door.word() };
+        let open = metrics.connections.get_or_create_owned(&port);
+        let turned_away = metrics.connections_turned_away.get_or_create_owned(&port);
+        let registry = Registry::new(limits.connections, limits.address_share).counted(open);
+        Self { listener, registry, turned_away, handshake: limits.handshake(), idle: limits.idle(), door }
     }
 
     /// The connections from now on, until the receiver is dropped.
@@ -77,6 +83,7 @@ impl Acceptor {
             let now = Instant::now();
             let used = ConnectionUse::new(Peer::at(address.ip()), now);
             let Some(place) = self.registry.enter(&used, now) else {
+                self.turned_away.inc();
                 tracing::debug!("closed a connection: too many");
                 continue;
             };

@@ -10,6 +10,7 @@ pub(super) async fn follow(shared: ServiceContext) {
     loop {
         let now = *progress.borrow_and_update();
         let MapProgress { epoch, journaled, .. } = now;
+        shared.metrics.rebuilding.set((now.building.is_some() || now.state == MapStatus::Rebuilding).into());
         shared.metrics.epoch.set(epoch as i64);
         shared.metrics.unfolded.set(journaled.saturating_sub(epoch) as i64);
         shared.health.set(readiness(&now));

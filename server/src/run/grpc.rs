@@ -19,7 +19,8 @@ use tower::util::MapResponseLayer;
 
 use super::calls::CallsLayer;
 use super::connections::{Acceptor, Door};
-use super::{Error, LATE_FRAMES, ServiceContext, ended};
+use super::counted::CountedLayer;
+use super::{Error, LATE_FRAMES, ServiceContext, ended, figures};
 use crate::access_log::AccessLogLayer;
 use crate::config::LimitsConfig;
 use crate::grpc::{Access, Admission, HeadsLayer, LocalizationApi, MapApi, MappingApi, tell_faults};
@@ -55,6 +56,7 @@ pub(super) async fn serve(
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let locator = Arc::new(Locator::new(store.clone(), shared.config.locating));
+    figures::of_cache(metrics, &locator);
     let localization = LocalizationApi::new(locator.clone(), feed.clone(), metrics.clone()).on(lanes.clone());
     let localization = LocalizationServiceServer::new(localization)
         .max_decoding_message_size(message_bytes)
@@ -83,10 +85,11 @@ pub(super) async fn serve(
     let health = health.max_decoding_message_size(MAX_NAME);
 
     let door = Door::new(shared.gate.clone(), Port::Grpc);
-    let acceptor = Acceptor::new(listener, limits, door);
+    let acceptor = Acceptor::new(listener, limits, door, metrics);
     let served = limited(limits)
         .layer(AccessLogLayer(trace::Port::Grpc))
         .layer(RequestSpanLayer::grpc())
+        .layer(CountedLayer(metrics.clone()))
         .layer(CallsLayer::new(limits.pace(), ending.clone()))
         .layer(MapResponseLayer::new(tell_faults(metrics.clone())))
         .layer(HeadsLayer(Access::new(shared.gate.clone(), shared.rates.clone())))

@@ -27,6 +27,7 @@ use crate::pace::PacedBody;
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
     let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, .. } = shared;
     let limits = &config.limits;
+    let counted = metrics.clone();
     let builder = builder(limits);
     let alarm_limits = config.alarms.limits();
     let (spool_dir, address_share, ending_too) =
@@ -50,7 +51,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
     let door = Door::new(gate, Port::Http);
-    let mut connections = Acceptor::new(listener, limits, door).open();
+    let mut connections = Acceptor::new(listener, limits, door, &counted).open();
     let ended = ended(ending);
     tokio::pin!(ended);
     loop {

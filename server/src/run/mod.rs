@@ -3,19 +3,25 @@
 //! - [`calls`]: what holds for every call of the vehicles' port.
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
+//! - [`counted`]: each gRPC call is counted.
+//! - [`figures`]: what is looked up when somebody reads the metrics.
 //! - [`follow`]: health and metrics follow the store.
 //! - [`retention`]: old uploads are compacted.
 //! - [`quarantine`]: what vetting keeps out is told.
+//! - [`webhook`]: alarms are sent to where somebody is woken.
 //! - [`signals`]: when to end.
 
 mod calls;
 mod connections;
+mod counted;
+mod figures;
 mod follow;
 mod grpc;
 mod http;
 mod quarantine;
 mod retention;
 mod signals;
+mod webhook;
 
 use std::future::Future;
 use std::io;
@@ -163,6 +169,7 @@ impl Server {
             rates: Arc::new(rates),
             lanes,
         };
+        figures::of_store(&shared);
         Ok(Self { shared, grpc, http, grpc_addr, http_addr })
     }
 
@@ -243,6 +250,7 @@ pub async fn serve(
         }
     };
     let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
+    server.shared.metrics.built_from(commit);
     tell(&server.shared.config, addresses, commit);
     if let Some(roles) = server.shared.gate.anonymous() {
         tracing::warn!(%roles, "anybody who reaches the ports has these roles (`identity.anonymous`)");

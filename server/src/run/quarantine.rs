@@ -8,7 +8,8 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::MissedTickBehavior;
 
 use super::ServiceContext;
-use crate::http::quarantine_event;
+use super::webhook::{Told, Webhook};
+use crate::http::{alarm_message, quarantine_event};
 use crate::metrics::OutcomeLabel;
 use crate::store::QuarantinedRecord;
 
@@ -23,6 +24,10 @@ pub(super) async fn tell(shared: ServiceContext) {
     // A decision or a rebuild changes the quarantine without telling of a record.
     let mut progress = shared.store.progress();
     let mut changed = true;
+    let mut alarming = Alarming {
+        told: Told::default(),
+        webhook: Webhook::of(&shared.config.alarms, shared.metrics.clone()),
+    };
     loop {
         tokio::select! {
             moved = progress.changed() => {
@@ -31,7 +36,7 @@ pub(super) async fn tell(shared: ServiceContext) {
                 }
                 changed = true;
             }
-            _ = ticks.tick(), if changed => changed = !count(&shared).await,
+            _ = ticks.tick(), if changed => changed = !count(&shared, &mut alarming).await,
             next = kept_out.recv() => {
                 changed = true;
                 match next {
@@ -47,6 +52,12 @@ pub(super) async fn tell(shared: ServiceContext) {
     }
 }
 
+/// What is known of alarms, and where they are sent.
+struct Alarming {
+    told: Told,
+    webhook: Option<Webhook>,
+}
+
 async fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
     let (operations, number) = (shared.operations.clone(), record.number);
     let ids = tokio::task::spawn_blocking(move || operations.upload_ids(&BTreeSet::from([number]))).await;
@@ -59,12 +70,19 @@ async fn one(shared: &ServiceContext, record: &QuarantinedRecord) {
 }
 
 /// How many there are, and how many alarms follow from them; false while the map is made anew, when nothing can be said.
-async fn count(shared: &ServiceContext) -> bool {
+async fn count(shared: &ServiceContext, alarming: &mut Alarming) -> bool {
     let operations = shared.operations.clone();
     let found = tokio::task::spawn_blocking(move || operations.quarantined()).await;
     let Ok(Ok(kept_out)) = found else { return false };
     let uploads: Vec<_> = kept_out.iter().map(|record| record.upload).collect();
-    let alarms = alarms(&uploads, &shared.config.alarms.limits()).len() as i64;
+    let config = &shared.config.alarms;
+    let found = alarms(&uploads, &config.limits());
+    for alarm in alarming.told.new_of(&found, config.within_m) {
+        if let Some(webhook) = &alarming.webhook {
+            webhook.put(alarm_message(&alarm, (&kept_out, config.within_m), &config.console));
+        }
+    }
+    let alarms = found.len() as i64;
     shared.metrics.in_quarantine.set(kept_out.len() as i64);
     let before = shared.metrics.alarms.set(alarms);
     if alarms > before {

@@ -13,9 +13,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview, Proposal,
-    QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
-    Verified, Withheld, io_error,
+    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview,
+    Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
+    UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::backend::Backend;
 use crate::store::local;
@@ -140,9 +140,6 @@ fn started(
     Ok(Arc::new(StoreContext::new(backend, settings, journal, index, progress, served)))
 }
 
-/// Tiles that are read, at most, to say why a place is not served.
-const WITHHELD_TILES: usize = 9;
-
 impl MapStore for EmbeddedStore {
     fn contributor(&self, pseudonym: &str) -> u64 {
         self.shared.backend.pseudonyms.hash(pseudonym)
@@ -198,15 +195,8 @@ impl MapStore for EmbeddedStore {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Option<Withheld>, Error> {
-        let generation = self.shared.readable()?;
-        let mut found = None;
-        for info in generation.catalog().block(zone, &x, &y).into_iter().take(WITHHELD_TILES) {
-            let Some((_, tile)) = generation.tiles.stored(info.id)? else { continue };
-            let most = tile.support().iter().copied().max().unwrap_or(0);
-            found = found.max(Some(most).filter(|_| !tile.is_empty()));
-        }
         let needed = self.shared.settings.policy.publish_contributors;
-        Ok(found.map(|contributors| Withheld { contributors, needed }))
+        Ok(self.shared.readable()?.catalog().withheld((zone, &x, &y), needed))
     }
 
     fn zones(&self) -> Vec<Zone> {
@@ -216,8 +206,9 @@ impl MapStore for EmbeddedStore {
     fn totals(&self) -> Totals {
         let compacted = self.shared.compacted_uploads.load(Ordering::Relaxed);
         let uploads = compacted + self.shared.index.uploads();
-        let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads));
-        totals.unwrap_or(Totals { uploads, ..Totals::default() })
+        let needed = self.shared.settings.policy.publish_contributors;
+        let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads, needed));
+        totals.unwrap_or(Totals { uploads, needed, ..Totals::default() })
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {
@@ -241,6 +232,10 @@ impl Operations for EmbeddedStore {
 
     fn preview(&self, proposal: &Proposal) -> Result<Preview, Error> {
         decide::preview(&self.shared, proposal)
+    }
+
+    fn folding(&self) -> FoldingFigures {
+        self.shared.folding()
     }
 
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {

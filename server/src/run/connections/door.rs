@@ -33,6 +33,14 @@ impl Door {
         Self { gate, port }
     }
 
+    /// The port's word, for those who count.
+    pub(super) fn word(&self) -> &'static str {
+        match self.port {
+            Port::Grpc => "grpc",
+            Port::Http => "http",
+        }
+    }
+
     /// Encrypts the connection and takes it in; `None` when the other end cannot be let in.
     pub(super) async fn open(&self, stream: TcpStream, address: SocketAddr) -> Option<Opened> {
         // What counts when the connection begins; what changes meanwhile is held against it when it is known.

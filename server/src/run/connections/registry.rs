@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use prometheus_client::metrics::gauge::Gauge;
 use tokio::sync::Notify;
 
 use crate::shares::{Peer, part};
@@ -96,6 +97,8 @@ pub(super) struct Registry {
     most: usize,
     each: usize,
     open: Arc<Mutex<Open>>,
+    /// How many there are, for those who watch.
+    count: Gauge,
 }
 
 #[derive(Debug, Default)]
@@ -114,7 +117,12 @@ pub(super) struct Entry {
 impl Registry {
     /// For so many connections, of which one peer may have a share.
     pub(super) fn new(most: usize, share: f64) -> Self {
-        Self { most, each: part(most, share), open: Arc::default() }
+        Self { most, each: part(most, share), open: Arc::default(), count: Gauge::default() }
+    }
+
+    /// Tells a gauge how many there are.
+    pub(super) fn counted(self, count: Gauge) -> Self {
+        Self { count, ..self }
     }
 
     /// Lets a connection in; where there are too many, of its peer or in all, the longest idle one goes. Nothing when none is
@@ -131,6 +139,7 @@ impl Registry {
         let number = open.next;
         open.next += 1;
         open.connections.insert(number, connection.clone());
+        self.count.inc();
         Some(Entry { number, registry: self.clone() })
     }
 
@@ -164,6 +173,7 @@ impl Open {
 
 impl Drop for Entry {
     fn drop(&mut self) {
+        self.registry.count.dec();
         self.registry.lock().connections.remove(&self.number);
     }
 }

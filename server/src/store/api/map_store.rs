@@ -52,7 +52,7 @@ pub trait MapStore: Send + Sync {
         y: RangeInclusive<i32>,
     ) -> Result<Vec<TileInfo>, Error>;
 
-    /// What of a zone's block of tiles is not served yet; `None` where nothing was seen. For blocks without served tiles.
+    /// What tiles of a zone's block hold of which nothing is served yet; `None` where there are none.
     ///
     /// # Errors
     /// When the disk refuses, a tile is damaged, or the map is being rebuilt.

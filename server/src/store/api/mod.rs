@@ -18,5 +18,5 @@ pub use history::{EventKind, HistoryEvent, Snapshot, TileDiff};
 pub use map_store::MapStore;
 pub use operations::Operations;
 pub use progress::{Building, MapProgress, MapStatus};
-pub use reports::{Imported, QuarantinedRecord, Region, Verified};
+pub use reports::{FoldingFigures, Imported, QuarantinedRecord, Region, Verified};
 pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};

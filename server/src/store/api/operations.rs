@@ -8,8 +8,8 @@ use tokio::sync::broadcast;
 use uuid::Uuid;
 
 use super::{
-    Contributor, Error, HistoryEvent, Imported, MapStore, Preview, Proposal, QuarantinedRecord, Region,
-    Remark, Snapshot, TileDiff, Verified,
+    Contributor, Error, FoldingFigures, HistoryEvent, Imported, MapStore, Preview, Proposal,
+    QuarantinedRecord, Region, Remark, Snapshot, TileDiff, Verified,
 };
 
 /// Decisions about the map's history. Each is a record of the journal: synced when the call returns its
@@ -33,6 +33,11 @@ pub trait Operations: Send + Sync {
     /// # Errors
     /// When the map is being rebuilt, or the disk refuses.
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error>;
+
+    /// What folding has done since the service started.
+    fn folding(&self) -> FoldingFigures {
+        FoldingFigures::default()
+    }
 
     /// The ids of the uploads that are these records, as far as the journal still has them.
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid>;

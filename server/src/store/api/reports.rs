@@ -1,9 +1,26 @@
 //! What operations are given and what they report.
 
+use std::time::Duration;
+
 use echofix_core::geo::TileId;
 use echofix_core::vetting::Reason;
 use echofix_core::vetting::alarm::QuarantinedUpload;
 use uuid::Uuid;
+
+/// What folding has done since the service started; maps that are made anew are not counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FoldingFigures {
+    /// Time it took.
+    pub spent: Duration,
+    /// Uploads that agree with what others contributed there.
+    pub agree: u64,
+    /// Uploads of places that nobody else had contributed to.
+    pub new: u64,
+    /// Uploads that count unseen, because nothing is vetted.
+    pub not_vetted: u64,
+    /// Uploads that vetting kept out of the map.
+    pub quarantined: u64,
+}
 
 /// Which part of a map.
 #[derive(Debug, Clone, PartialEq)]

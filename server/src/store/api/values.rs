@@ -77,6 +77,8 @@ pub struct TileInfo {
     pub newest_day: u16,
     /// Bytes of the encoded tile.
     pub bytes: u32,
+    /// The most contributors that support any of it, where no cell is served yet; 0 where one is, or nothing was hit.
+    pub waiting: u8,
 }
 
 /// Evidence that is not served, because too few contributors support it.
@@ -101,4 +103,10 @@ pub struct Totals {
     pub uploads: u64,
     /// Last UTC day anything was seen, counted from the Unix epoch.
     pub newest_day: u16,
+    /// Of the tiles, those of which nothing is served yet, because too few contributors support it.
+    pub waiting_tiles: u64,
+    /// The most contributors that support anything in one of those; 0 without any.
+    pub waiting_contributors: u8,
+    /// Contributors that are needed for something to be served; 0 where that is not known.
+    pub needed: u8,
 }

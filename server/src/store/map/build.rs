@@ -91,7 +91,7 @@ pub(in crate::store) fn replace(
     failed: &Generation,
     applied: u64,
 ) -> Result<Arc<Generation>, Error> {
-    failed.tiles.table().room_for(failed.catalog().totals(0).bytes)?;
+    failed.tiles.table().room_for(failed.catalog().totals(0, 0).bytes)?;
     let fresh = created(shared, TableUse::Served)?;
     let filled = fresh.copy(failed).and_then(|()| fresh.complete(shared.journal_id));
     filled.and_then(|()| fresh.tiles.table().flush()).inspect_err(|_| fresh.retire())?;

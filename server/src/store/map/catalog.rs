@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use echofix_core::geo::{TileId, Zone};
 
 use super::key::stamp;
-use crate::store::api::{TileInfo, Totals};
+use crate::store::api::{TileInfo, Totals, Withheld};
 
 /// The tiles, in order of their ids.
 #[derive(Debug, Default)]
@@ -16,6 +16,8 @@ pub(in crate::store) struct Catalog {
     bytes: u64,
     newest_day: u16,
     digest: u64,
+    /// Tiles of which nothing is served yet, by the most contributors that support any of them.
+    waiting: BTreeMap<u8, u64>,
 }
 
 impl Catalog {
@@ -25,10 +27,24 @@ impl Catalog {
         if let Some(before) = self.tiles.insert(info.id, info) {
             self.cells -= u64::from(before.cells);
             self.bytes -= u64::from(before.bytes);
+            self.waits(before.waiting, -1);
         }
+        self.waits(info.waiting, 1);
         self.cells += u64::from(info.cells);
         self.bytes += u64::from(info.bytes);
         self.newest_day = self.newest_day.max(info.newest_day);
+    }
+
+    /// So many tiles more, or fewer, wait with so many contributors.
+    fn waits(&mut self, contributors: u8, tiles: i64) {
+        if contributors == 0 {
+            return;
+        }
+        let left = self.waiting.entry(contributors).or_default();
+        *left = left.saturating_add_signed(tiles);
+        if *left == 0 {
+            self.waiting.remove(&contributors);
+        }
     }
 
     /// Sum of what all tiles are stamped with, once these are added, by which is checked whether a set of stored tiles
@@ -86,6 +102,16 @@ impl Catalog {
         found
     }
 
+    /// What tiles of a zone's block hold of which nothing is served yet.
+    pub(in crate::store) fn withheld(
+        &self,
+        (zone, x, y): (Zone, &RangeInclusive<i32>, &RangeInclusive<i32>),
+        needed: u8,
+    ) -> Option<Withheld> {
+        let most = self.block(zone, x, y).iter().map(|info| info.waiting).max();
+        most.filter(|most| *most > 0).map(|contributors| Withheld { contributors, needed })
+    }
+
     pub(in crate::store) fn zones(&self) -> Vec<Zone> {
         let mut zones = Vec::new();
         let mut next = self.tiles.keys().next();
@@ -97,9 +123,18 @@ impl Catalog {
         zones
     }
 
-    pub(in crate::store) fn totals(&self, uploads: u64) -> Totals {
-        let Self { tiles, cells, bytes, newest_day, .. } = self;
-        Totals { tiles: tiles.len() as u64, cells: *cells, bytes: *bytes, uploads, newest_day: *newest_day }
+    /// The map in numbers, when so many contributors are needed for something to be served.
+    pub(in crate::store) fn totals(&self, uploads: u64, needed: u8) -> Totals {
+        Totals {
+            tiles: self.tiles.len() as u64,
+            cells: self.cells,
+            bytes: self.bytes,
+            uploads,
+            newest_day: self.newest_day,
+            waiting_tiles: self.waiting.values().sum(),
+            waiting_contributors: self.waiting.last_key_value().map_or(0, |(contributors, _)| *contributors),
+            needed,
+        }
     }
 }
 
@@ -110,7 +145,7 @@ mod tests {
 
     fn info(epsg: u32, x: i32, y: i32, cells: u32) -> TileInfo {
         let id = TileId { zone: Zone::from_epsg(epsg).unwrap(), y, x };
-        TileInfo { id, version: 1, cells, newest_day: 7, bytes: 2 * cells }
+        TileInfo { id, version: 1, cells, newest_day: 7, bytes: 2 * cells, waiting: 0 }
     }
 
     proptest! {
@@ -141,8 +176,29 @@ mod tests {
         catalog.put(info(32614, 1, 1, 10));
         catalog.put(info(32714, 1, 1, 5));
         catalog.put(info(32614, 1, 1, 20));
-        let totals = catalog.totals(3);
+        let totals = catalog.totals(3, 3);
         assert_eq!((totals.tiles, totals.cells, totals.bytes, totals.uploads), (2, 25, 50, 3));
         assert_eq!(catalog.zones().iter().map(|zone| zone.epsg()).collect::<Vec<_>>(), [32614, 32714]);
+    }
+
+    /// Catches: tiles that are counted as waiting after they are served, or twice as more contributors come.
+    #[test]
+    fn tiles_wait_until_they_are_served() {
+        let mut catalog = Catalog::default();
+        let waiting = |x, contributors| TileInfo { waiting: contributors, ..info(32614, x, 1, 0) };
+        let told = |catalog: &Catalog| {
+            let Totals { waiting_tiles, waiting_contributors, needed, .. } = catalog.totals(0, 3);
+            (waiting_tiles, waiting_contributors, needed)
+        };
+        assert_eq!(told(&catalog), (0, 0, 3));
+        catalog.put(waiting(1, 1));
+        catalog.put(waiting(2, 1));
+        assert_eq!(told(&catalog), (2, 1, 3));
+        catalog.put(waiting(1, 2));
+        assert_eq!(told(&catalog), (2, 2, 3));
+        catalog.put(info(32614, 1, 1, 10));
+        assert_eq!(told(&catalog), (1, 1, 3));
+        catalog.put(info(32614, 2, 1, 10));
+        assert_eq!(told(&catalog), (0, 0, 3));
     }
 }

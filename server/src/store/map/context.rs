@@ -10,7 +10,7 @@ use uuid::Uuid;
 use super::checkpoint::Checkpoint;
 use super::generation::Generation;
 use super::policy::Policy;
-use crate::store::api::{Error, MapProgress, MapStatus, QuarantinedRecord, StoreClock};
+use crate::store::api::{Error, FoldingFigures, MapProgress, MapStatus, QuarantinedRecord, StoreClock};
 use crate::store::backend::Backend;
 use crate::store::log::index::JournalIndex;
 use crate::store::log::journal::Journal;
@@ -75,6 +75,8 @@ pub(in crate::store) struct StoreContext {
     pub(in crate::store) compacted_uploads: AtomicU64,
     /// Tells that the folding thread works.
     pub(in crate::store) beat: Heartbeat,
+    /// What folding has done; see [`Self::folding`].
+    folding: Mutex<FoldingFigures>,
     /// What vetting keeps out of the served generation, as it comes.
     pub(in crate::store) kept_out: broadcast::Sender<QuarantinedRecord>,
     /// Held while a control is decided on and written: each knows all before it.
@@ -105,6 +107,7 @@ impl StoreContext {
             compacted_uploads: AtomicU64::new(checkpoint.uploads.saturating_sub(twice)),
             checkpoint: RwLock::new(checkpoint),
             beat: Heartbeat::default(),
+            folding: Mutex::default(),
             kept_out: broadcast::Sender::new(TOLD),
             deciding: Mutex::default(),
             backend,
@@ -140,6 +143,17 @@ impl StoreContext {
     /// The checkpoint, and the right to delete what it covers.
     pub(super) fn checkpoint_mut(&self) -> RwLockWriteGuard<'_, Checkpoint> {
         self.checkpoint.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What folding has done since the start.
+    pub(in crate::store) fn folding(&self) -> FoldingFigures {
+        *self.folding.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Folding took so long for a step, and vetting has decided so much by now.
+    pub(super) fn note_folded(&self, took: Duration, vetted: FoldingFigures) {
+        let mut folding = self.folding.lock().unwrap_or_else(PoisonError::into_inner);
+        *folding = FoldingFigures { spent: folding.spent + took, ..vetted };
     }
 
     /// The right to write a control.

@@ -84,7 +84,10 @@ impl FoldWorker {
             Some(NextFold::Build) => self.build(shared),
             Some(NextFold::Records(group)) => {
                 let newest = group.last().map_or(self.folded, |written| written.number);
-                let FoldedGroup { kept_out, up_to } = caught(|| fold(shared, &on, &group, newest, vetting))?;
+                let began = Instant::now();
+                let folded = caught(|| fold(shared, &on, &group, newest, vetting));
+                shared.note_folded(began.elapsed(), vetting.decided());
+                let FoldedGroup { kept_out, up_to } = folded?;
                 self.folded = up_to;
                 shared.progress.send_modify(|progress| progress.epoch = up_to);
                 for record in kept_out {

@@ -58,7 +58,7 @@ impl TileStore {
             let (key, _) = entry?;
             from = if let Some(id) = pieces::tile_of(&key) {
                 let value = self.value(id)?.unwrap_or_default();
-                catalog.put(parse(id, &value)?.info);
+                catalog.put(parse(id, &value)?.described()?);
                 after(&pieces::last_key(id))
             } else if key == STATE || quarantine::is_key(&key) {
                 after(&key)
@@ -129,7 +129,7 @@ impl TileStore {
     /// The values of all tiles, as they are to be read, for a copy.
     pub(in crate::store) fn copied(&self, id: TileId) -> Result<Option<TileValue>, Error> {
         let Some(bytes) = self.value(id)? else { return Ok(None) };
-        let info = parse(id, &bytes)?.info;
+        let info = parse(id, &bytes)?.described()?;
         Ok(Some(TileValue { bytes, info }))
     }
 
@@ -204,7 +204,9 @@ impl TileValue {
             cells: folded.tile.supported(publish).count() as u32,
             newest_day: folded.tile.newest_day(),
             bytes: encoded.len() as u32,
+            waiting: 0,
         };
+        let info = TileInfo { waiting: waiting(&info, &folded.tile), ..info };
         let mut bytes = vec![0; SUM];
         bytes.extend_from_slice(&info.version.to_le_bytes());
         bytes.extend_from_slice(&info.cells.to_le_bytes());
@@ -238,6 +240,24 @@ struct Parsed<'a> {
     ledger: &'a [u8],
 }
 
+impl Parsed<'_> {
+    /// What the catalog says about it: what waits is not stored, but follows from the tile.
+    fn described(&self) -> Result<TileInfo, Error> {
+        let info = self.info;
+        if info.cells > 0 {
+            return Ok(info);
+        }
+        let tile = tile::decode(self.tile).map_err(|e| damaged(info.id, &e))?;
+        Ok(TileInfo { waiting: waiting(&info, &tile), ..info })
+    }
+}
+
+/// See [`TileInfo::waiting`].
+pub(in crate::store) fn waiting(info: &TileInfo, tile: &Tile) -> u8 {
+    let most = || tile.support().iter().copied().max().unwrap_or(0);
+    if info.cells > 0 || tile.is_empty() { 0 } else { most().max(1) }
+}
+
 fn parse(id: TileId, value: &[u8]) -> Result<Parsed<'_>, Error> {
     parse_sound(id, value).ok_or_else(|| damaged(id, &"its checksum does not match"))
 }
@@ -250,6 +270,7 @@ fn parse_sound(id: TileId, value: &[u8]) -> Option<Parsed<'_>> {
         cells: u32::from_le_bytes(head[8..12].try_into().ok()?),
         newest_day: u16::from_le_bytes(head[12..14].try_into().ok()?),
         bytes: u32::from_le_bytes(head[14..18].try_into().ok()?),
+        waiting: 0,
     };
     let (tile, ledger) = body.split_at_checked(info.bytes as usize)?;
     Some(Parsed { info, tile, ledger })

@@ -15,7 +15,7 @@ use echofix_core::vetting::{
 };
 
 use super::write_buffer::{Folded, WriteBuffer};
-use crate::store::api::{Error, QuarantinedRecord, UploadRecord};
+use crate::store::api::{Error, FoldingFigures, QuarantinedRecord, UploadRecord};
 
 /// Prepared tiles that are cached for the next upload, which likely comes from near by: some hundred kilobytes each.
 const PREPARED: usize = 256;
@@ -34,11 +34,22 @@ pub(in crate::store) struct Vetting {
     limits: Option<VettingLimits>,
     vetter: Vetter,
     prepared: HashMap<(TileId, [u64; 9]), Arc<TileWeights>>,
+    decided: FoldingFigures,
 }
 
 impl Vetting {
     pub(in crate::store) fn new(limits: Option<VettingLimits>) -> Self {
-        Self { limits, vetter: Vetter::default(), prepared: HashMap::new() }
+        Self {
+            limits,
+            vetter: Vetter::default(),
+            prepared: HashMap::new(),
+            decided: FoldingFigures::default(),
+        }
+    }
+
+    /// What it has decided so far; no time is in it.
+    pub(super) fn decided(&self) -> FoldingFigures {
+        self.decided
     }
 
     /// Compares an upload with what others contributed where it lies.
@@ -53,9 +64,10 @@ impl Vetting {
             let as_it_came = zones
                 .values()
                 .flat_map(|evidence_by_tile| moved_evidence(evidence_by_tile, &Offsets::default()));
+            self.decided.not_vetted += 1;
             return Ok(VettingOutcome::Counts(as_it_came.collect()));
         };
-        let mut counts = Vec::new();
+        let (mut counts, mut agrees) = (Vec::new(), false);
         for (zone, evidence_by_tile) in zones {
             let contributor = upload.pass.contributor;
             let others = OthersMap {
@@ -68,17 +80,20 @@ impl Vetting {
             if let Some(error) = others.within.into_inner().failed {
                 return Err(error);
             }
+            agrees |= matches!(vetted, Vetted::Agrees(_));
             match vetted {
                 Vetted::Agrees(offsets) | Vetted::New(offsets) => {
                     counts.extend(moved_evidence(&evidence_by_tile, &offsets));
                 }
                 Vetted::Quarantined { reason, offset } => {
+                    self.decided.quarantined += 1;
                     let (position, day) = (middle(&evidence_by_tile), upload.pass.day);
                     let upload = QuarantinedUpload { zone, position, offset, contributor, day };
                     return Ok(VettingOutcome::Quarantined(QuarantinedRecord { number, reason, upload }));
                 }
             }
         }
+        *if agrees { &mut self.decided.agree } else { &mut self.decided.new } += 1;
         Ok(VettingOutcome::Counts(counts))
     }
 }

@@ -14,6 +14,7 @@ use crate::store::api::{
 };
 use crate::store::map::catalog::Catalog;
 use crate::store::map::context::StoreContext;
+use crate::store::map::tiles::waiting;
 use crate::store::operations::history;
 
 /// A map in memory that is only read, and changes no more.
@@ -22,6 +23,8 @@ struct PastMap {
     tiles: BTreeMap<TileId, StoredTile>,
     catalog: Catalog,
     uploads: u64,
+    /// Contributors that are needed for something to be served.
+    needed: u8,
     progress: watch::Sender<MapProgress>,
 }
 
@@ -35,10 +38,12 @@ pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<A
     for (id, folded) in folded {
         let newest_day = folded.tile.newest_day();
         let cells = folded.tile.supported(policy.publish_contributors).count() as u32;
+        let mut info = TileInfo { id, version: folded.version, cells, newest_day, bytes: 0, waiting: 0 };
+        info.waiting = waiting(&info, &folded.tile);
         let tile = policy.served(folded.tile, today);
         let stored = StoredTile { version: folded.version, day: today, tile: Arc::new(tile) };
         let bytes = stored.encoded().len() as u32;
-        catalog.put(TileInfo { id, version: folded.version, cells, newest_day, bytes });
+        catalog.put(TileInfo { bytes, ..info });
         if cells > 0 {
             tiles.insert(id, stored);
         }
@@ -47,7 +52,8 @@ pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<A
     let uploads = compacted + shared.index.uploads_within(0, epoch);
     let served = MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, ..MapProgress::default() };
     let progress = watch::Sender::new(served);
-    Ok(Arc::new(PastMap { lineage: shared.lineage, tiles, catalog, uploads, progress }))
+    let (lineage, needed) = (shared.lineage, policy.publish_contributors);
+    Ok(Arc::new(PastMap { lineage, tiles, catalog, uploads, needed, progress }))
 }
 
 impl MapStore for PastMap {
@@ -85,11 +91,11 @@ impl MapStore for PastMap {
 
     fn withheld(
         &self,
-        _: Zone,
-        _: RangeInclusive<i32>,
-        _: RangeInclusive<i32>,
+        zone: Zone,
+        x: RangeInclusive<i32>,
+        y: RangeInclusive<i32>,
     ) -> Result<Option<Withheld>, Error> {
-        Ok(None)
+        Ok(self.catalog.withheld((zone, &x, &y), self.needed))
     }
 
     fn zones(&self) -> Vec<Zone> {
@@ -97,7 +103,7 @@ impl MapStore for PastMap {
     }
 
     fn totals(&self) -> Totals {
-        self.catalog.totals(self.uploads)
+        self.catalog.totals(self.uploads, self.needed)
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {

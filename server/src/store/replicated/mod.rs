@@ -29,9 +29,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preview, Proposal, QuarantinedRecord,
-    Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, Withheld,
-    io_error,
+    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preview, Proposal,
+    QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
+    Verified, Withheld, io_error,
 };
 use crate::store::embedded::EmbeddedStore;
 use crate::store::local;
@@ -195,6 +195,10 @@ impl Operations for ReplicatedStore {
 
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
         self.copy.quarantined()
+    }
+
+    fn folding(&self) -> FoldingFigures {
+        self.copy.folding()
     }
 
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
