@@ -13,7 +13,7 @@ use echofix_client::service::ServiceAddress;
 use echofix_client::upload::spool::SpoolLimits;
 use echofix_client::upload::{self, Recorder, Spool, Uploader};
 use echofix_client::vehicle::{self, Vehicle};
-use echofix_client::{Localizer, LocalizerOptions};
+use echofix_client::{LocalizationStream, Localizer, LocalizerOptions};
 use tracing::{info, warn};
 
 #[tokio::main]
@@ -26,7 +26,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let drive = drivelog::read(path)?.drive;
     let endpoint = ServiceAddress::at(url).endpoint()?;
 
-    let localizer = Localizer::new(endpoint.clone(), LocalizerOptions::default());
+    let mut localizer = Localizer::new(endpoint.clone(), LocalizerOptions::default()).stream();
     let mut vehicle = Vehicle::new(vehicle::VehicleConfig::default(), drive.mounts.clone());
     let mut recorder =
         Recorder::new(upload::RecorderConfig::default(), &drive.vehicle, drive.mounts.clone())?;
@@ -55,7 +55,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
         }
         if event.time_us() >= next_question_us {
             next_question_us = event.time_us() + 1_000_000;
-            match locate(&localizer, &mut vehicle).await {
+            match locate(&mut localizer, &mut vehicle).await {
                 Ok(fix) => info!(at = ?fix.pose.at, sigma_m = fix.pose.sigma_position_m, "fix"),
                 Err(reason) => info!(%reason, "no fix"),
             }
@@ -76,7 +76,10 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-async fn locate(localizer: &Localizer, vehicle: &mut Vehicle) -> Result<vehicle::Fix, Box<dyn Error>> {
+async fn locate(
+    localizer: &mut LocalizationStream,
+    vehicle: &mut Vehicle,
+) -> Result<vehicle::Fix, Box<dyn Error>> {
     let question = vehicle.question()?;
     let answer = localizer.ask(&question).await?;
     Ok(vehicle.accept(&question, &answer)?)

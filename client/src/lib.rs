@@ -6,7 +6,8 @@
 //! - [`vehicle`]: localizing without any network: the sliding window of scans and odometry, the
 //!   question to ask, the judgement of the answer, the fix carried on by odometry.
 //! - [`filter`]: fixes and odometry fused to a smooth pose with an honest covariance.
-//! - [`Localizer`]: sends the question, with a deadline and retries.
+//! - [`Localizer`]: sends the question, with a deadline and retries; [`LocalizationStream`]: the same over one stream, which
+//!   carries only what is new.
 //! - [`upload`]: contributing to the map: the recorder splits a drive into uploads, the spool holds them
 //!   on disk, the uploader sends them until each is acknowledged.
 //! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
@@ -56,7 +57,9 @@ pub mod filter;
 pub mod import;
 mod localizer;
 pub mod refusal;
+mod routing;
 pub mod service;
+mod stream;
 #[cfg(test)]
 mod testing;
 pub mod tiles;
@@ -65,3 +68,4 @@ pub mod vehicle;
 pub mod wire;
 
 pub use localizer::{Localizer, LocalizerOptions};
+pub use stream::{LocalizationStream, StreamTraffic};

@@ -9,6 +9,7 @@ use tonic::Request;
 
 use crate::backoff::{Backoff, BackoffPolicy};
 use crate::refusal::CallError;
+use crate::routing;
 use crate::service::{CallerChannel, ServiceEndpoint};
 use crate::vehicle::LocalizationQuestion;
 
@@ -53,6 +54,14 @@ impl Localizer {
         Self { client: LocalizationServiceClient::new(endpoint.connect_lazy()), options }
     }
 
+    pub(crate) fn options(&self) -> LocalizerOptions {
+        self.options
+    }
+
+    pub(crate) fn client(&self) -> LocalizationServiceClient<CallerChannel> {
+        self.client.clone()
+    }
+
     /// Sends a question; attempts that fail for the moment are repeated within the deadline.
     ///
     /// Dropping the future cancels the call. The answer still has to be judged:
@@ -83,6 +92,7 @@ impl Localizer {
         until: Instant,
     ) -> Result<v1::LocalizeResponse, CallError> {
         let mut request = Request::new(question.request.clone());
+        routing::mark(&mut request, routing::region_of(&question.request));
         request.set_timeout(until.saturating_duration_since(Instant::now()));
         let mut client = self.client.clone();
         match tokio::time::timeout_at(until, client.localize(request)).await {

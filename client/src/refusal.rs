@@ -32,6 +32,8 @@ pub enum RefusalReason {
     MostlyMoving,
     /// Something in an upload is in another convention than the contract's; the message asks for it.
     WrongConvention,
+    /// The service no longer keeps the batch that a question of a stream counts from; ask with a whole one.
+    NeedsWholeBatch,
     /// A reason this version of the library does not know.
     Other(String),
 }
@@ -51,6 +53,7 @@ impl RefusalReason {
             "TOO_OLD" => Self::TooOld,
             "MOSTLY_MOVING" => Self::MostlyMoving,
             "WRONG_CONVENTION" => Self::WrongConvention,
+            "NEEDS_WHOLE_BATCH" => Self::NeedsWholeBatch,
             other => Self::Other(other.to_owned()),
         }
     }
@@ -69,6 +72,7 @@ impl RefusalReason {
             Self::TooOld => "TOO_OLD",
             Self::MostlyMoving => "MOSTLY_MOVING",
             Self::WrongConvention => "WRONG_CONVENTION",
+            Self::NeedsWholeBatch => "NEEDS_WHOLE_BATCH",
             Self::Other(reason) => reason,
         }
     }
@@ -227,6 +231,7 @@ mod tests {
             "TOO_OLD",
             "MOSTLY_MOVING",
             "WRONG_CONVENTION",
+            "NEEDS_WHOLE_BATCH",
         ] {
             let details = ErrorDetails::with_error_info(reason, "echofix", []);
             let status = Status::with_error_details(Code::FailedPrecondition, "no", details);

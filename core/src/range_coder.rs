@@ -154,7 +154,9 @@ mod tests {
     fn coded(bits: &[(usize, bool)]) -> Vec<u8> {
         let mut contexts = [Likelihood::of(1 << 15); 4];
         let mut encoder = RangeEncoder::default();
-        bits.iter().for_each(|(context, bit)| encoder.put(*bit, &mut contexts[*context]));
+        for (context, bit) in bits {
+            encoder.put(*bit, &mut contexts[*context]);
+        }
         encoder.finish()
     }
 

@@ -1,9 +1,10 @@
-//! The contract of Echofix, generated from `proto/echofix/v1/*.proto`, and nothing else but
-//! the [`codec`] it travels by.
+//! The contract of Echofix, generated from `proto/echofix/v1/*.proto`, and what both ends must do
+//! alike: the [`codec`] it travels by, and the [`delta`] form of batches.
 //!
 //! The `.proto` files are the reference: every field says its unit, frame and sign there.
 
 pub mod codec;
+pub mod delta;
 
 /// Version 1 of the contract.
 #[allow(clippy::large_enum_variant, reason = "generated; the variants are the contract's")]

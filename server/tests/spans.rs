@@ -96,7 +96,7 @@ async fn log_lines_carry_the_id_of_their_request_and_answers_name_it() {
     let mut client = LocalizationServiceClient::new(server.channel().await);
     let status = client.localize(with_id(LocalizeRequest::default(), "third-3")).await.unwrap_err();
     assert_eq!(status.metadata().get("x-request-id").unwrap(), "third-3");
-    let messages = [4, 5].map(|sequence| LocalizeStreamRequest { sequence, request: None });
+    let messages = [4, 5].map(|sequence| LocalizeStreamRequest { sequence, ..Default::default() });
     let response = client.localize_stream(with_id(tokio_stream::iter(messages), "fourth-4")).await.unwrap();
     assert_eq!(response.metadata().get("x-request-id").unwrap(), "fourth-4");
     let mut answers = response.into_inner();

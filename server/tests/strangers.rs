@@ -190,7 +190,8 @@ async fn a_stream_ends_with_its_deadline() {
     let mut asked = tonic::Request::new(tokio_stream::wrappers::ReceiverStream::new(receiver));
     asked.set_timeout(Duration::from_millis(300));
     let mut answers = client.localize_stream(asked).await.unwrap().into_inner();
-    let question = |sequence| LocalizeStreamRequest { sequence, request: Some(request(0.0)) };
+    let question =
+        |sequence| LocalizeStreamRequest { sequence, request: Some(request(0.0)), ..Default::default() };
     sender.send(question(1)).await.unwrap();
     assert_eq!(answers.message().await.unwrap().unwrap().sequence, 1);
     tokio::time::sleep(Duration::from_millis(350)).await;

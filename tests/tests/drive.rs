@@ -235,8 +235,11 @@ async fn a_stream_answers_as_single_calls_do_and_outlives_refusals() {
     let (cases, single) = (&cases[..6], answers.iter().take(6).cloned().map(untimed).collect::<Vec<_>>());
     let mut asked = Vec::new();
     for (number, case) in (0..).zip(cases) {
-        asked.push(LocalizeStreamRequest { sequence: 2 * number, request: Some(case.request.clone()) });
-        asked.push(LocalizeStreamRequest { sequence: 2 * number + 1, request: Some(refused(number, case)) });
+        for (sequence, request) in
+            [(2 * number, case.request.clone()), (2 * number + 1, refused(number, case))]
+        {
+            asked.push(LocalizeStreamRequest { sequence, request: Some(request), ..Default::default() });
+        }
     }
     let mut client = grpc::localizing(&world.service).await;
     let stream = client.localize_stream(tokio_stream::iter(asked)).await.expect("the stream opens");

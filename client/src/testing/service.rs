@@ -8,11 +8,13 @@ use std::time::Duration;
 
 use echofix_proto::v1;
 use echofix_proto::v1::localization_service_server::{LocalizationService, LocalizationServiceServer};
+use echofix_proto::v1::localize_stream_response::Outcome;
 use echofix_proto::v1::mapping_service_server::{MappingService, MappingServiceServer};
 use echofix_proto::v1::upload_request::Part;
+use prost::Message;
 use tokio::net::TcpListener;
 use tokio::time::Instant;
-use tokio_stream::wrappers::TcpListenerStream;
+use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::transport::{Endpoint, Server};
 use tonic::{Request, Response, Status, Streaming};
 use uuid::Uuid;
@@ -35,6 +37,8 @@ struct MockState {
     counted: Vec<Uuid>,
     calls: Vec<Instant>,
     failing: HashSet<Uuid>,
+    batches: Vec<v1::Batch>,
+    forgetful: bool,
 }
 
 /// Follows its script, one behaviour a call, then accepts.
@@ -142,12 +146,70 @@ impl LocalizationService for MockService {
         }
     }
 
-    type LocalizeStreamStream = tokio_stream::Empty<Result<v1::LocalizeStreamResponse, Status>>;
+    type LocalizeStreamStream = ReceiverStream<Result<v1::LocalizeStreamResponse, Status>>;
 
+    /// Keeps the last batch, where it keeps any; a scripted failure is an answer, a lost one the end of the stream.
     async fn localize_stream(
         &self,
-        _: Request<Streaming<v1::LocalizeStreamRequest>>,
+        request: Request<Streaming<v1::LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
-        Err(Status::unimplemented("not needed"))
+        let (this, mut asked) = (self.clone(), request.into_inner());
+        let (answers, answered) = tokio::sync::mpsc::channel(1);
+        tokio::spawn(async move {
+            let mut kept: Option<(u64, v1::Batch)> = None;
+            while let Ok(Some(asked)) = asked.message().await {
+                let behaviour = this.next();
+                let Some(answer) = this.stream_answer(asked, behaviour, &mut kept) else { return };
+                if answers.send(Ok(answer)).await.is_err() {
+                    return;
+                }
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(answered)))
+    }
+}
+
+impl MockService {
+    /// The batches it was asked with by streams, as it made them whole.
+    pub(crate) fn batches(&self) -> Vec<v1::Batch> {
+        self.state.lock().unwrap().batches.clone()
+    }
+
+    pub(crate) fn keep_nothing(&self) {
+        self.state.lock().unwrap().forgetful = true;
+    }
+
+    fn stream_answer(
+        &self,
+        asked: v1::LocalizeStreamRequest,
+        behaviour: Behaviour,
+        kept: &mut Option<(u64, v1::Batch)>,
+    ) -> Option<v1::LocalizeStreamResponse> {
+        let v1::LocalizeStreamRequest { sequence, request, delta, keep_batch } = asked;
+        let refused = |status: &Status, kept: &Option<(u64, v1::Batch)>| {
+            let error = tonic_types::pb::Status::decode(status.details()).unwrap_or_default();
+            let error = tonic_types::pb::Status { code: status.code().into(), ..error };
+            let kept_batch = kept.as_ref().map(|(number, _)| *number);
+            Some(v1::LocalizeStreamResponse { sequence, outcome: Some(Outcome::Error(error)), kept_batch })
+        };
+        match behaviour {
+            Behaviour::Accept => {}
+            Behaviour::Fail(status) => return refused(&status, kept),
+            _ => return None,
+        }
+        let batch = match delta {
+            None => request.unwrap().batch.unwrap(),
+            Some(delta) => {
+                let (number, base) = kept.as_ref().unwrap();
+                assert_eq!(*number, delta.base);
+                echofix_proto::delta::applied(base, delta).unwrap()
+            }
+        };
+        let mut state = self.state.lock().unwrap();
+        state.batches.push(batch.clone());
+        let answer = super::usable_answer(batch.reference_time_us);
+        *kept = Some((sequence, batch)).filter(|_| keep_batch && !state.forgetful);
+        let kept_batch = kept.as_ref().map(|(number, _)| *number);
+        Some(v1::LocalizeStreamResponse { sequence, outcome: Some(Outcome::Response(answer)), kept_batch })
     }
 }

@@ -39,7 +39,7 @@ use echofix_core::geo;
 use echofix_core::odometry::{self, BodyVelocity, OdometryQuality, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{self, Mount, Scan};
-use echofix_proto::v1;
+use echofix_proto::{delta, v1};
 
 use crate::wire;
 use anchor::Anchor;
@@ -350,7 +350,7 @@ impl Vehicle {
             reference_time_us: to_us,
             mounts: self.radars().iter().map(|r| wire::known_mount(&r.mount, &r.sigma)).collect(),
             scans: Some(wire::scans(self.window.scans(), to_us)),
-            odometry: Some(wire::known_odometry(poses.iter(), quality, to_us)),
+            odometry: Some(wire::known_odometry(poses.iter().map(on_grid), quality, to_us)),
             dropped: Some(wire::dropped(&self.window.dropped_lately())),
             suspected: wire::suspected(&self.findings()),
         }
@@ -384,6 +384,12 @@ impl Vehicle {
             ..v1::Prior::default()
         }
     }
+}
+
+/// A pose on the grid on which a stream sends it in few bytes, less than a micrometre away.
+fn on_grid((time_us, pose): (i64, Pose2)) -> (i64, Pose2) {
+    let [x_m, y_m, yaw_rad] = delta::on_grid([pose.x_m, pose.y_m, pose.yaw_rad]);
+    (time_us, Pose2::new(x_m, y_m, yaw_rad))
 }
 
 fn check(pose: &GeoPose) -> Result<(), Error> {

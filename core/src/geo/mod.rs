@@ -10,11 +10,13 @@
 
 mod distance;
 mod grid;
+mod routing;
 mod tile_id;
 mod zone;
 
 pub use distance::{MetresPerDegree, ground_distance_m};
 pub use grid::{Grid, LatLon};
+pub use routing::RoutingRegion;
 pub use tile_id::{CELL_M, CELLS_PER_TILE, CellIndex, TILE_M, TileId};
 pub use zone::{Zone, zones_near};
 

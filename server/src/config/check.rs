@@ -118,6 +118,11 @@ fn locating(locating: &LocatingConfig, radar_range_m: f64) -> Vec<Rule> {
             (1..=1 << 20).contains(&locating.tile_cache_mib),
             "must lie within 1 and 1048576",
         ),
+        (
+            "locating.stream_batches_mib",
+            locating.stream_batches_mib <= 1 << 20,
+            "must be at most 1048576; 0 keeps none",
+        ),
         ("locating.confirm_share", (0.0..=1.0).contains(&locating.confirm_share), "must lie within 0 and 1"),
         (
             "locating.wide_search_m",

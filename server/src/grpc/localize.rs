@@ -1,12 +1,13 @@
 //! `LocalizationService`: where am I?
 
 mod encode;
+mod kept;
 #[cfg(test)]
 mod tests;
 
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use echofix_core::batch::Batch;
@@ -25,6 +26,7 @@ use tonic::{Request, Response, Status, Streaming};
 use tonic_types::pb;
 use tracing::{Instrument, Span};
 
+use super::access::Counted;
 use super::invalid_field::{InvalidField, require, required};
 use super::status;
 use super::{attended, decode, faults, now_us};
@@ -38,6 +40,7 @@ use crate::metrics::{Metrics, OutcomeLabel};
 use crate::patience::Patience;
 use crate::trace::in_current_span;
 use encode::{BatchFacts, milliseconds, reason, refused, response};
+use kept::{KeptBatches, StreamBatch};
 
 /// Risks that protection levels can be given for. A level that may be exceeded half of the time bounds nothing.
 pub const INTEGRITY_RISKS: std::ops::RangeInclusive<f64> = 1e-9..=0.1;
@@ -45,12 +48,15 @@ pub const INTEGRITY_RISKS: std::ops::RangeInclusive<f64> = 1e-9..=0.1;
 const MAX_ALERT_LIMIT_M: f64 = 1_000.0;
 /// Answers that wait to be checked, at most.
 const CHECKS_WAITING: usize = 64;
+/// Bytes of batches that are kept for streams, where nothing else is set.
+const KEPT_BYTES: usize = 64 << 20;
 
 /// Answers localization requests.
 pub struct LocalizationApi {
     inner: Arc<Localization>,
     /// Without lanes of its own it computes on the runtime of its caller.
     lanes: Option<Lanes>,
+    kept: Arc<KeptBatches>,
 }
 
 struct Localization {
@@ -67,7 +73,14 @@ impl LocalizationApi {
     /// Answers from a locator; feeds and metrics record every outcome.
     #[must_use]
     pub fn new(locator: Arc<Locator>, feed: Arc<Feed>, metrics: Arc<Metrics>) -> Self {
-        Self { inner: Arc::new(Localization::new(locator, feed, metrics)), lanes: None }
+        let inner = Arc::new(Localization::new(locator, feed, metrics));
+        Self { inner, lanes: None, kept: KeptBatches::new(KEPT_BYTES, 1.0) }
+    }
+
+    /// Keeps batches for streams within so many bytes, of which one peer may have a share, 0 to 1.
+    #[must_use]
+    pub fn keeping(self, bytes: usize, share: f64) -> Self {
+        Self { kept: KeptBatches::new(bytes, share), ..self }
     }
 
     /// Computes on these lanes.
@@ -108,34 +121,63 @@ impl LocalizationService for LocalizationApi {
         &self,
         request: Request<Streaming<LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
-        let (inner, deadline, lanes) = (Arc::clone(&self.inner), deadline(request.metadata()), self.lanes());
-        let caller = super::access::caller(request.extensions())?;
-        // The answers are made after this call has returned, and belong to its span still.
-        let call = Span::current();
+        let peer = super::peer(request.extensions());
+        let stream = Arc::new(StreamCall {
+            inner: Arc::clone(&self.inner),
+            deadline: deadline(request.metadata()),
+            lanes: self.lanes(),
+            caller: super::access::caller(request.extensions())?,
+            // The answers are made after this call has returned, and belong to its span still.
+            call: Span::current(),
+            batch: Mutex::new(StreamBatch::new(Arc::clone(&self.kept), peer)),
+        });
         let answers = request.into_inner().then(move |asked| {
-            let (inner, call, caller) = (Arc::clone(&inner), call.clone(), caller.clone());
-            let lanes = lanes.clone();
-            async move {
-                let LocalizeStreamRequest { sequence, request } = asked.map_err(faults::told)?;
-                if deadline.is_some_and(|at| at <= Instant::now()) {
-                    return Err(status::gone());
-                }
-                let span = tracing::info_span!(parent: &call, "message", sequence);
-                let answer = match caller.count(Rated::Localize) {
-                    Ok(()) => {
-                        let answer = inner.answer(request.unwrap_or_default(), deadline, &lanes);
-                        answer.instrument(span).await
-                    }
-                    Err(status) => Err(status),
-                };
-                let outcome = match answer {
-                    Ok(response) => Streamed::Response(response),
-                    Err(status) => Streamed::Error(as_message(&status)),
-                };
-                Ok(LocalizeStreamResponse { sequence, outcome: Some(outcome) })
-            }
+            let stream = Arc::clone(&stream);
+            async move { stream.answer(asked.map_err(faults::told)?).await }
         });
         Ok(Response::new(Box::pin(answers)))
+    }
+}
+
+/// One vehicle's stream; its questions come one after the other.
+struct StreamCall {
+    inner: Arc<Localization>,
+    deadline: Option<Instant>,
+    lanes: Lanes,
+    caller: Counted,
+    call: Span,
+    batch: Mutex<StreamBatch>,
+}
+
+impl StreamCall {
+    async fn answer(&self, asked: LocalizeStreamRequest) -> Result<LocalizeStreamResponse, Status> {
+        if self.deadline.is_some_and(|at| at <= Instant::now()) {
+            return Err(status::gone());
+        }
+        let sequence = asked.sequence;
+        let span = tracing::info_span!(parent: &self.call, "message", sequence);
+        let answer = match self.complete(asked) {
+            Ok(request) => self.inner.answer(request, self.deadline, &self.lanes).instrument(span).await,
+            Err(status) => Err(status),
+        };
+        let outcome = match answer {
+            Ok(response) => Streamed::Response(response),
+            Err(status) => Streamed::Error(as_message(&status)),
+        };
+        let kept_batch = self.batch().number();
+        Ok(LocalizeStreamResponse { sequence, outcome: Some(outcome), kept_batch })
+    }
+
+    /// The whole question.
+    fn complete(&self, asked: LocalizeStreamRequest) -> Result<LocalizeRequest, Status> {
+        self.caller.count(Rated::Localize)?;
+        let LocalizeStreamRequest { sequence, request, delta, keep_batch } = asked;
+        self.batch().complete(sequence, request.unwrap_or_default(), delta, keep_batch)
+    }
+
+    fn batch(&self) -> std::sync::MutexGuard<'_, StreamBatch> {
+        // A batch that is kept or not is sound either way.
+        self.batch.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

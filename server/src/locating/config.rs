@@ -43,6 +43,8 @@ pub struct LocatingConfig {
     pub queue: usize,
     /// Memory for prepared tiles, MiB.
     pub tile_cache_mib: u64,
+    /// Memory for the batches that are kept for streams, MiB; 0 keeps none.
+    pub stream_batches_mib: u64,
     /// Which engine finds the maximum of the correlation.
     pub engine: EngineChoice,
     /// Fraction of the answers that are repeated with an exact engine: the sampled check.

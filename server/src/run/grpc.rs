@@ -57,7 +57,10 @@ pub(super) async fn serve(
         .accept_compressed(Zstd);
     let locator = Arc::new(Locator::new(store.clone(), shared.config.locating));
     figures::of_cache(metrics, &locator);
-    let localization = LocalizationApi::new(locator.clone(), feed.clone(), metrics.clone()).on(lanes.clone());
+    let kept_bytes = usize::try_from(shared.config.locating.stream_batches_mib << 20).unwrap_or(usize::MAX);
+    let localization = LocalizationApi::new(locator.clone(), feed.clone(), metrics.clone())
+        .on(lanes.clone())
+        .keeping(kept_bytes, address_share);
     let localization = LocalizationServiceServer::new(localization)
         .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
