@@ -27,6 +27,11 @@ pub(super) fn keep(root: &Path) {
     }
 }
 
+/// Is there less room than it takes itself?
+pub(super) fn is_needed(root: &Path) -> bool {
+    room::free(root).is_ok_and(|free| free < BYTES as u64)
+}
+
 /// Gives it back; false where none was kept.
 pub(super) fn release(root: &Path) -> bool {
     match fs::remove_file(root.join(NAME)) {

@@ -26,7 +26,10 @@ pub(super) fn for_tiles(dir: &Path, bytes: u64) -> Result<(), Error> {
 }
 
 /// Bytes that may still be written where a directory lies.
-fn free(dir: &Path) -> Result<u64, Error> {
+///
+/// # Errors
+/// When the system does not tell.
+pub(super) fn free(dir: &Path) -> Result<u64, Error> {
     let stat = rustix::fs::statvfs(dir)
         .map_err(|error| io_error("asking for the room on the disk")(error.into()))?;
     Ok(stat.f_bavail.saturating_mul(stat.f_frsize))

@@ -53,6 +53,10 @@ impl TileTables for LocalTables {
         if !path.exists() {
             return Ok(None);
         }
+        // A table that runs out of room while it opens may leave what it cannot read again: it must not come to that.
+        if ballast::is_needed(self.dir.root()) && ballast::release(self.dir.root()) {
+            tracing::warn!("the disk is full: the tiles are opened with the room that was kept for this");
+        }
         let table = match self.opened(TableDir::of(&path)) {
             Err(error) if error.may_pass() && ballast::release(self.dir.root()) => {
                 tracing::warn!(%error, "the tiles do not open; trying again with the room that was kept for this");
