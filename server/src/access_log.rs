@@ -1,19 +1,22 @@
 //! One line a call, on either port, where the log takes the target `access`: what was asked and how it was answered, and as
 //! what the caller was known. Never by which name, nor where anybody is.
 
+use std::borrow::Cow;
 use std::pin::Pin;
 use std::sync::{Arc, OnceLock};
 use std::task::{Context, Poll};
 use std::time::Instant;
 
-use axum::http::{HeaderMap, Method, Request, Response};
+use axum::http::{HeaderMap, Request, Response};
 use bytes::Buf;
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tonic::Code;
 use tower::{Layer, Service};
 
 use crate::identity::Roles;
-use crate::trace::{Port, REQUEST_ID};
+use crate::port::Port;
+use crate::rpc_code::word;
+use crate::trace::{REQUEST_ID, usual_method};
 
 /// The target of these lines, as the log's filter names it.
 pub const TARGET: &str = "access";
@@ -88,24 +91,22 @@ struct Line {
     port: Port,
     began: Instant,
     call: String,
-    method: Option<Method>,
+    method: Option<&'static str>,
     roles: NotedRoles,
     request_id: String,
     /// `None` until there is an answer.
-    code: Option<String>,
+    code: Option<Cow<'static, str>>,
     bytes: u64,
     whole: bool,
 }
 
 impl Line {
     fn of<B>(port: Port, request: &Request<B>) -> Self {
-        let usual = [Method::GET, Method::HEAD, Method::POST, Method::DELETE, Method::OPTIONS];
-        let method = usual.into_iter().find(|method| method == request.method());
         Self {
             port,
             began: Instant::now(),
             call: port.call(request).to_owned(),
-            method: method.filter(|_| port == Port::Http),
+            method: usual_method(request.method()).filter(|_| port == Port::Http),
             roles: NotedRoles::default(),
             request_id: String::new(),
             code: None,
@@ -118,18 +119,17 @@ impl Line {
         let id = response.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok());
         id.unwrap_or_default().clone_into(&mut self.request_id);
         self.code = match self.port {
-            Port::Http => Some(response.status().as_str().to_owned()),
-            Port::Grpc => code(response.headers()),
+            Port::Http => Some(response.status().as_str().to_owned().into()),
+            Port::Grpc => code(response.headers()).map(Cow::Borrowed),
         };
     }
 }
 
 impl Drop for Line {
     fn drop(&mut self) {
-        let Self { port, call, request_id, bytes, whole, .. } = self;
+        let Self { port, call, method, request_id, bytes, whole, .. } = self;
         let ms = self.began.elapsed().as_secs_f64() * 1000.0;
         let ms = (ms * 10.0).round() / 10.0;
-        let method = self.method.as_ref().map(Method::as_str);
         let code = self.code.as_deref().unwrap_or("CANCELLED");
         let role = self.roles.0.get().map(ToString::to_string).filter(|roles| !roles.is_empty());
         let role = role.as_deref().unwrap_or("none");
@@ -138,17 +138,9 @@ impl Drop for Line {
     }
 }
 
-/// The code of gRPC as its definition writes it, where headers or trailers tell it.
-fn code(headers: &HeaderMap) -> Option<String> {
-    let code = Code::from_bytes(headers.get(STATUS)?.as_bytes());
-    let mut name = String::new();
-    for (at, letter) in format!("{code:?}").chars().enumerate() {
-        if at > 0 && letter.is_ascii_uppercase() && code != Code::Ok {
-            name.push('_');
-        }
-        name.push(letter.to_ascii_uppercase());
-    }
-    Some(name)
+/// The code of gRPC, where headers or trailers tell it.
+fn code(headers: &HeaderMap) -> Option<&'static str> {
+    Some(word(Code::from_bytes(headers.get(STATUS)?.as_bytes())))
 }
 
 /// The body of an answer, which is counted.
@@ -173,7 +165,7 @@ impl<R: HttpBody> HttpBody for ToldBody<R> {
                 line.bytes += frame.data_ref().map_or(0, |data| data.remaining() as u64);
                 if let Some(trailers) = frame.trailers_ref() {
                     line.whole = true;
-                    line.code = code(trailers).or(line.code.take());
+                    line.code = code(trailers).map(Cow::Borrowed).or(line.code.take());
                 }
             }
         }
@@ -211,10 +203,7 @@ mod tests {
             )]))
             .unwrap()
         };
-        assert_eq!(
-            (told("0"), told("3"), told("16")),
-            ("OK".into(), "INVALID_ARGUMENT".into(), "UNAUTHENTICATED".into())
-        );
+        assert_eq!((told("0"), told("3"), told("16")), ("OK", "INVALID_ARGUMENT", "UNAUTHENTICATED"));
         assert_eq!(code(&HeaderMap::new()), None);
     }
 }

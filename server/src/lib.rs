@@ -6,6 +6,7 @@
 //! - [`pace`]: how slowly a peer may send.
 //! - [`patience`]: how long a caller waits for blocking work.
 //! - [`lanes`]: which threads do what, and which of them come first.
+//! - [`port`]: the two ports.
 //! - [`shares`]: pools of which no peer can take all.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
@@ -38,6 +39,8 @@ pub mod mapping;
 pub mod metrics;
 pub mod pace;
 pub mod patience;
+pub mod port;
+mod rpc_code;
 pub mod run;
 pub mod shares;
 mod sparse;

@@ -8,10 +8,12 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 
 use axum::extract::MatchedPath;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Request, Response};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Request, Response};
 use tower::{Layer, Service};
 use tracing::{Instrument, Span};
 use uuid::Uuid;
+
+use crate::port::Port;
 
 /// The header, and the gRPC metadata, that names a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -36,25 +38,7 @@ fn request_id(headers: &HeaderMap) -> HeaderValue {
     })
 }
 
-/// How a port names its calls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Port {
-    /// By the path of the method.
-    Grpc,
-    /// By the route.
-    Http,
-}
-
 impl Port {
-    /// Its word in the log.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Grpc => "grpc",
-            Self::Http => "http",
-        }
-    }
-
     /// The call as its definition names it. What a caller may put into an address stays out: positions and ids do.
     pub fn call<B>(self, request: &Request<B>) -> &str {
         match self {
@@ -67,6 +51,11 @@ impl Port {
             Self::Http => request.extensions().get::<MatchedPath>().map_or("unknown", MatchedPath::as_str),
         }
     }
+}
+
+/// A method that HTTP knows and this service may take; callers may write anything there.
+pub(crate) fn usual_method(method: &Method) -> Option<&'static str> {
+    ["GET", "HEAD", "POST", "DELETE", "OPTIONS"].into_iter().find(|usual| method == usual)
 }
 
 /// Gives every request of a port its id and its span.

@@ -219,6 +219,25 @@ impl StoreConfig {
             && bucket.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte));
         sound.then(|| StorePlace::Bucket(self.url.clone()))
     }
+
+    /// This service's own directory: the map's, or that of its copy of what is in a bucket.
+    #[must_use]
+    pub fn directory(&self) -> PathBuf {
+        match self.place() {
+            Some(StorePlace::Directory(dir)) => dir,
+            // Without a place the configuration is refused.
+            Some(StorePlace::Bucket(_)) | None => self.data_dir.clone(),
+        }
+    }
+
+    /// The bucket that services share, where the map is stored in one.
+    #[must_use]
+    pub fn bucket(&self) -> Option<String> {
+        match self.place() {
+            Some(StorePlace::Bucket(url)) => Some(url),
+            Some(StorePlace::Directory(_)) | None => None,
+        }
+    }
 }
 
 /// What holds for uploads and requests alike.

@@ -13,6 +13,7 @@ use tonic::{Code, Status};
 use super::invalid_field::InvalidField;
 use super::status;
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::rpc_code::word;
 
 /// How the transport begins what it says of messages that unpack to more than is taken.
 const UNPACKS_TOO_FAR: &str = "Error decompressing";
@@ -42,25 +43,6 @@ pub fn tell(
         let outcome = word(status.code());
         metrics.refused.get_or_create(&OutcomeLabel { outcome }).inc();
         if status.code() == Code::InvalidArgument { status.into_http() } else { response }
-    }
-}
-
-/// The code as gRPC names it; what the service never refuses with is `OTHER`.
-fn word(code: Code) -> &'static str {
-    match code {
-        Code::InvalidArgument => "INVALID_ARGUMENT",
-        Code::FailedPrecondition => "FAILED_PRECONDITION",
-        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
-        Code::Unavailable => "UNAVAILABLE",
-        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
-        Code::Cancelled => "CANCELLED",
-        Code::OutOfRange => "OUT_OF_RANGE",
-        Code::Unimplemented => "UNIMPLEMENTED",
-        Code::NotFound => "NOT_FOUND",
-        Code::Internal => "INTERNAL",
-        Code::Unauthenticated => "UNAUTHENTICATED",
-        Code::PermissionDenied => "PERMISSION_DENIED",
-        _ => "OTHER",
     }
 }
 

@@ -5,7 +5,8 @@
 //! - `error`: why a request was not answered, said once.
 //! - `outside`: how callers address the port, with proxies in front.
 //! - `cors`: which pages of other origins may ask it.
-//! - `origin`: which names the port answers to, and which pages may change anything.
+//! - `hosts`: which names the port answers to.
+//! - `origin`: which pages may change anything.
 //! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
@@ -33,6 +34,7 @@ mod decisions;
 mod error;
 mod expectation;
 mod files;
+mod hosts;
 mod layers;
 mod limits;
 mod live;
@@ -67,12 +69,13 @@ use crate::health::Health;
 use crate::identity::Gate;
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
+use crate::port::Port;
 use crate::store::{MapStore, Operations};
-use crate::trace::{Port, RequestSpanLayer};
+use crate::trace::RequestSpanLayer;
 pub use cors::{Origins, is_origin};
 use error::Error;
 pub use files::LAST_BACKUP;
-pub use origin::Hosts;
+pub use hosts::Hosts;
 pub use outside::is_base_path;
 pub use quarantine::{alarm_message, quarantine_event};
 

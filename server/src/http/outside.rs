@@ -6,7 +6,7 @@ use axum::extract::Request;
 use axum::http::uri::{PathAndQuery, Uri};
 use axum::http::{HeaderMap, header};
 
-use super::origin::Hosts;
+use super::hosts::Hosts;
 
 /// The address under which a caller sees this port.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::Json;
-use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
@@ -13,7 +13,9 @@ use serde_json::{Value, json};
 use super::App;
 use crate::health::{Readiness, ServiceReadiness};
 use crate::metrics::{HttpLabels, RouteLabel};
+use crate::port::Port;
 use crate::store::MapProgress;
+use crate::trace::usual_method;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 const CLASSIC: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -66,15 +68,8 @@ pub async fn metrics(State(app): State<Arc<App>>, headers: HeaderMap) -> impl In
 
 /// Counts a request by its route, never by its path, and takes its time.
 pub async fn counted(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    let route = request.extensions().get::<MatchedPath>().map_or("unknown", MatchedPath::as_str).to_owned();
-    let method = match *request.method() {
-        Method::GET => "GET",
-        Method::HEAD => "HEAD",
-        Method::POST => "POST",
-        Method::DELETE => "DELETE",
-        Method::OPTIONS => "OPTIONS",
-        _ => "other",
-    };
+    let route = Port::Http.call(&request).to_owned();
+    let method = usual_method(request.method()).unwrap_or("other");
     let began = Instant::now();
     let answer = next.run(request).await;
     let metrics = &app.state.metrics;
@@ -88,6 +83,7 @@ pub async fn counted(State(app): State<Arc<App>>, request: Request, next: Next) 
 mod tests {
     use super::*;
     use crate::http::testing::{TestSite, json_of};
+    use axum::http::Method;
 
     #[tokio::test]
     async fn metrics_come_in_the_format_that_is_accepted() {

@@ -90,11 +90,10 @@ pub fn alarm_message(
     (kept_out, within_m): (&[QuarantinedRecord], f64),
     console: &str,
 ) -> Value {
-    let near = kept_out.iter().map(|record| record.upload).filter(|upload| {
-        let (east, north) =
-            (upload.position.x_m - alarm.position.x_m, upload.position.y_m - alarm.position.y_m);
-        upload.zone == alarm.zone && east.hypot(north) <= within_m
-    });
+    let near = kept_out
+        .iter()
+        .map(|record| record.upload)
+        .filter(|upload| upload.zone == alarm.zone && upload.position.distance_m(alarm.position) <= within_m);
     let near: BTreeSet<_> = near.map(|upload| hash_word(upload.contributor)).collect();
     let mut message = alarm_json(alarm);
     message["count"] = message["contributors"].take();

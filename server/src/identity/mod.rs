@@ -34,4 +34,4 @@ pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
 pub use role::{Role, Roles};
-pub use tls::{Identified, Port};
+pub use tls::Identified;

@@ -16,15 +16,7 @@ use rustls::{RootCertStore, ServerConfig};
 use super::certificate::not_after;
 use super::config::{IdentityConfig, TlsConfig, TlsError};
 use super::tokens::{MAX_BYTES, Tokens};
-
-/// Which of the two ports; they differ in the protocols that run over TLS, and in nothing else.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Port {
-    /// HTTP/2 only.
-    Grpc,
-    /// HTTP/2 and HTTP/1.1.
-    Http,
-}
+use crate::port::Port;
 
 /// What the files hold, byte by byte.
 #[derive(Clone, Default, PartialEq, Eq)]

@@ -45,7 +45,7 @@ pub(super) struct Acceptor {
 
 impl Acceptor {
     pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door, metrics: &Metrics) -> Self {
-        let port = PortLabel { port: door.word() };
+        let port = PortLabel { port: door.port().name() };
         let open = metrics.connections.get_or_create_owned(&port);
         let turned_away = metrics.connections_turned_away.get_or_create_owned(&port);
         let registry = Registry::new(limits.connections, limits.address_share).counted(open);

@@ -11,16 +11,12 @@ use super::ServiceContext;
 use crate::http::LAST_BACKUP;
 use crate::locating::Locator;
 use crate::metrics::{Figures, Metrics};
-use crate::store::{MapStore, Operations};
+use crate::store::{self, MapStore, Operations};
 
 /// Has the metrics look up what the store and the disk know. It does not keep the store open.
 pub(super) fn of_store(shared: &ServiceContext) {
     let (operations, store) = (Arc::downgrade(&shared.operations), Arc::downgrade(&shared.store));
-    let dir = shared.config.store.place();
-    let dir = match dir {
-        Some(crate::config::StorePlace::Directory(dir)) => dir,
-        _ => shared.config.store.data_dir.clone(),
-    };
+    let dir = shared.config.store.directory();
     shared.metrics.look_up(move |figures| {
         of_map(&operations, &store, figures);
         of_disk(&dir, figures);
@@ -47,12 +43,11 @@ fn of_map(operations: &Weak<dyn Operations>, store: &Weak<dyn MapStore>, figures
 
 /// What cannot be read stays as it was.
 fn of_disk(dir: &Path, figures: &Figures) {
-    if let Ok(stat) = rustix::fs::statvfs(dir) {
-        set(&figures.disk_free_bytes, stat.f_bavail.saturating_mul(stat.f_frsize));
+    if let Ok(free) = store::free_bytes(dir) {
+        set(&figures.disk_free_bytes, free);
     }
-    if let Ok(entries) = fs::read_dir(dir.join("journal")) {
-        let sizes = entries.flatten().filter_map(|entry| entry.metadata().ok());
-        set(&figures.journal_bytes, sizes.map(|size| size.len()).sum());
+    if let Ok(bytes) = store::journal_bytes(dir) {
+        set(&figures.journal_bytes, bytes);
     }
     let taken = fs::metadata(dir.join(LAST_BACKUP)).and_then(|note| note.modified());
     let since = taken.ok().and_then(|taken| taken.duration_since(UNIX_EPOCH).ok());

@@ -25,9 +25,9 @@ use crate::access_log::AccessLogLayer;
 use crate::config::LimitsConfig;
 use crate::grpc::{Access, Admission, HeadsLayer, LocalizationApi, MapApi, MappingApi, tell_faults};
 use crate::health::Readiness;
-use crate::identity::Port;
 use crate::locating::Locator;
-use crate::trace::{self, RequestSpanLayer};
+use crate::port::Port;
+use crate::trace::RequestSpanLayer;
 
 /// Bytes of a stream and of a connection that may be under way before they are read.
 const STREAM_WINDOW: u32 = 128 << 10;
@@ -90,7 +90,7 @@ pub(super) async fn serve(
     let door = Door::new(shared.gate.clone(), Port::Grpc);
     let acceptor = Acceptor::new(listener, limits, door, metrics);
     let served = limited(limits)
-        .layer(AccessLogLayer(trace::Port::Grpc))
+        .layer(AccessLogLayer(Port::Grpc))
         .layer(RequestSpanLayer::grpc())
         .layer(CountedLayer(metrics.clone()))
         .layer(CallsLayer::new(limits.pace(), ending.clone()))

@@ -20,8 +20,8 @@ use super::connections::{Acceptor, Door, InUse};
 use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::{HttpConfig, LimitsConfig};
 use crate::http::{Hosts, HttpState, Origins, Place, router_at};
-use crate::identity::Port;
 use crate::pace::PacedBody;
+use crate::port::Port;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {

@@ -34,7 +34,7 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::config::{self, Config, StorePlace};
+use crate::config::{self, Config};
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::{self, Gate, Rates};
@@ -139,13 +139,7 @@ impl Server {
         let (gate, rates) = (config.gate()?, Rates::of(&config.rates));
         let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
         let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
-        let place = config.store.place();
-        let (dir, bucket) = match place {
-            Some(StorePlace::Directory(dir)) => (dir, None),
-            Some(StorePlace::Bucket(url)) => (config.store.data_dir.clone(), Some(url)),
-            // The configuration was checked.
-            None => (config.store.data_dir.clone(), None),
-        };
+        let (dir, bucket) = (config.store.directory(), config.store.bucket());
         let options = Options {
             table: config.store.table,
             cache_bytes: config.store.cache_mib << 20,
@@ -265,11 +259,8 @@ pub async fn serve(
 /// One line that says what runs here.
 fn tell(config: &Config, addresses: Addresses, commit: &str) {
     let Addresses { grpc, http } = addresses;
-    let store = match config.store.place() {
-        Some(StorePlace::Directory(dir)) => dir.display().to_string(),
-        Some(StorePlace::Bucket(url)) => config::without_credentials(&url),
-        None => String::new(),
-    };
+    let bucket = config.store.bucket().map(|url| config::without_credentials(&url));
+    let store = bucket.unwrap_or_else(|| config.store.directory().display().to_string());
     let (version, differing) = (env!("CARGO_PKG_VERSION"), config.differences().join(" "));
     tracing::info!(version, commit, %grpc, %http, store, differing, "listening");
 }

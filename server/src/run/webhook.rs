@@ -136,8 +136,7 @@ impl Told {
     pub(super) fn new_of(&mut self, alarms: &[Alarm], within_m: f64) -> Vec<Alarm> {
         let shifts = |alarm: &Alarm| matches!(alarm.kind, AlarmKind::Shift(_));
         let same = |a: &Alarm, b: &Alarm| {
-            let (east, north) = (a.position.x_m - b.position.x_m, a.position.y_m - b.position.y_m);
-            a.zone == b.zone && shifts(a) == shifts(b) && east.hypot(north) <= within_m
+            a.zone == b.zone && shifts(a) == shifts(b) && a.position.distance_m(b.position) <= within_m
         };
         let new = alarms.iter().filter(|alarm| !self.0.iter().any(|told| same(told, alarm)));
         let new = new.copied().collect();

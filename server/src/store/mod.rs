@@ -58,7 +58,7 @@ mod tests;
 
 pub use api::*;
 pub use embedded::EmbeddedStore;
-pub use local::TableEngine;
+pub use local::{TableEngine, free_bytes, journal_bytes};
 pub use map::policy::Policy;
 pub use options::Options;
 pub use replicated::{ReplicatedStore, SharedMap, SharedMapStatus};

@@ -11,7 +11,8 @@ use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 
-use crate::identity::{Closing, Entry, Gate, Port};
+use crate::identity::{Closing, Entry, Gate};
+use crate::port::Port;
 use crate::sparse;
 
 /// Lets connections of a port in.
@@ -33,12 +34,9 @@ impl Door {
         Self { gate, port }
     }
 
-    /// The port's word, for those who count.
-    pub(super) fn word(&self) -> &'static str {
-        match self.port {
-            Port::Grpc => "grpc",
-            Port::Http => "http",
-        }
+    /// Whose door it is.
+    pub(super) fn port(&self) -> Port {
+        self.port
     }
 
     /// Encrypts the connection and takes it in; `None` when the other end cannot be let in.

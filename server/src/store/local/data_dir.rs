@@ -34,6 +34,8 @@ use crate::store::backend::tables::{TableId, TableUse};
 
 /// How the names of tiles begin that are folded to be compacted.
 const SCRATCH: &str = "scratch-";
+/// Where the source of truth lies.
+pub(super) const JOURNAL: &str = "journal";
 /// Where it lies what contradicts the journal.
 const SET_ASIDE: &str = "set-aside";
 
@@ -53,7 +55,7 @@ impl DataDir {
         builder.recursive(true).mode(0o700).create(root).map_err(at(root, creating))?;
         refuse_foreign(root)?;
         let mut locks = Locks::of(root)?;
-        let journal = root.join("journal");
+        let journal = root.join(JOURNAL);
         if !segments::any(&journal)? {
             traces::none(root, &journal)?;
             builder.create(&journal).map_err(at(&journal, creating))?;
@@ -69,7 +71,7 @@ impl DataDir {
     }
 
     pub(super) fn journal(&self) -> PathBuf {
-        self.root.join("journal")
+        self.root.join(JOURNAL)
     }
 
     pub(super) fn root(&self) -> &Path {
@@ -145,6 +147,17 @@ impl DataDir {
     }
 }
 
+/// Bytes of the segments of the journal in a data directory.
+///
+/// # Errors
+/// When they cannot be listed.
+pub fn journal_bytes(root: &Path) -> Result<u64, Error> {
+    let journal = root.join(JOURNAL);
+    let entries = fs::read_dir(&journal).map_err(at(&journal, "listing the journal's segments"))?;
+    let sizes = entries.flatten().filter_map(|entry| entry.metadata().ok());
+    Ok(sizes.map(|size| size.len()).sum())
+}
+
 impl Pseudonyms for DataDir {
     fn hash(&self, pseudonym: &str) -> u64 {
         self.key.hash(pseudonym)
@@ -158,7 +171,7 @@ impl Pseudonyms for DataDir {
 /// Refuses a directory that holds other things than a store, and nothing of a store: it was named by mistake.
 pub(super) fn refuse_foreign(root: &Path) -> Result<(), Error> {
     let names = files::names(root)?;
-    let ours = ["journal", "manifest", "key", "key-copy", "writer", "ballast", SET_ASIDE];
+    let ours = [JOURNAL, "manifest", "key", "key-copy", "writer", "ballast", SET_ASIDE];
     let numbered = [TILES, SCRATCH, "base-"];
     let is_ours = |name: &String| {
         ours.contains(&name.as_str()) || numbered.iter().any(|prefix| name.starts_with(prefix))

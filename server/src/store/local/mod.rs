@@ -34,6 +34,8 @@ use std::sync::Arc;
 use super::api::Error;
 use super::backend::Backend;
 use data_dir::DataDir;
+pub use data_dir::journal_bytes;
+pub use room::free as free_bytes;
 pub use tables::TableEngine;
 
 /// Opens a data directory, and locks it for as long as the backend is held.

@@ -29,7 +29,7 @@ pub(super) fn for_tiles(dir: &Path, bytes: u64) -> Result<(), Error> {
 ///
 /// # Errors
 /// When the system does not tell.
-pub(super) fn free(dir: &Path) -> Result<u64, Error> {
+pub fn free(dir: &Path) -> Result<u64, Error> {
     let stat = rustix::fs::statvfs(dir)
         .map_err(|error| io_error("asking for the room on the disk")(error.into()))?;
     Ok(stat.f_bavail.saturating_mul(stat.f_frsize))

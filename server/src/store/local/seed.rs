@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt as _;
 use std::path::Path;
 
-use super::data_dir::refuse_foreign;
+use super::data_dir::{JOURNAL, refuse_foreign};
 use super::files::{self, at, put_file};
 use super::marker::TILES;
 use super::segments;
@@ -19,7 +19,7 @@ use crate::store::backend::segments::{HEADER, name};
 /// # Errors
 /// When the disk refuses.
 pub(in crate::store) fn is_begun(root: &Path) -> Result<bool, Error> {
-    segments::any(&root.join("journal"))
+    segments::any(&root.join(JOURNAL))
 }
 
 /// Begins a directory in which there is none. The journal is begun last: what a crash leaves is begun again.
@@ -32,7 +32,7 @@ pub(in crate::store) fn begin(
     checkpoint: Option<(&str, &[u8])>,
     (first, header): (u64, &[u8; HEADER]),
 ) -> Result<(), Error> {
-    let journal = root.join("journal");
+    let journal = root.join(JOURNAL);
     let doing = "beginning a copy of the shared map";
     fs::DirBuilder::new().recursive(true).mode(0o700).create(root).map_err(at(root, doing))?;
     refuse_foreign(root)?;
