@@ -169,7 +169,7 @@ impl MapView {
     pub fn map_error(&self, positions: impl Iterator<Item = MapPoint>, pose_m: f64) -> MapVariance {
         let (zone, tiles) = (self.square().zone, &self.window().tiles);
         let variance = |tile: &TileWeights| {
-            let position_m2 = pose_m * pose_m / tile.passes.mean();
+            let position_m2 = pose_m * pose_m / tile.passes;
             tile.datum.variance().unwrap_or(MapVariance { position_m2, yaw_rad2: 0.0 })
         };
         let at = |position| tiles.iter().find(|tile| tile.id == TileId::of(zone, position));

@@ -10,7 +10,6 @@ use super::packed::{PackedWeights, SQUARE};
 use super::smoothing::{self, CellMass, HALO};
 use crate::buckets::PointBuckets;
 use crate::datum::Datum;
-use crate::evidence::Cell;
 use crate::geo::{CELLS_PER_TILE, TILE_M, TileId};
 use crate::near::NearPoints;
 use crate::point::MapPoint;
@@ -64,36 +63,6 @@ impl OccupiedBlock {
     }
 }
 
-/// Hits, and the passes over their cells: how often a map was driven.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct PassSums {
-    /// Hits weighted by the passes of their cells.
-    pub weighted: f64,
-    /// Hits.
-    pub hits: f64,
-}
-
-impl PassSums {
-    fn of<'a>(cells: impl Iterator<Item = &'a Cell>) -> Self {
-        cells.fold(Self::default(), |sums, cell| {
-            let hits = f64::from(cell.hits);
-            sums.plus(&Self { weighted: hits * f64::from(cell.passes), hits })
-        })
-    }
-
-    /// The sums of both.
-    #[must_use]
-    pub fn plus(&self, other: &Self) -> Self {
-        Self { weighted: self.weighted + other.weighted, hits: self.hits + other.hits }
-    }
-
-    /// Passes over the cell of a typical hit, 1 without hits: how many surveys a map amounts to.
-    #[must_use]
-    pub fn mean(&self) -> f64 {
-        if self.hits > 0.0 { self.weighted / self.hits } else { 1.0 }
-    }
-}
-
 /// The points of a tile and its borders.
 enum Points {
     Exact(PointBuckets),
@@ -116,8 +85,8 @@ pub struct TileWeights {
     pub newest_day: u16,
     /// What its contributions were moved by.
     pub datum: Datum,
-    /// How often the cells of the tile itself were passed over.
-    pub passes: PassSums,
+    /// See [`Tile::mean_passes`].
+    pub passes: f64,
 }
 
 impl TileWeights {
@@ -155,7 +124,7 @@ impl TileWeights {
             cells: own.len(),
             newest_day: own.newest_day(),
             datum: own.datum(),
-            passes: PassSums::of(own.cells().iter().map(|(_, cell)| cell)),
+            passes: own.mean_passes(),
         }
     }
 
@@ -281,6 +250,7 @@ fn rounded(sum: u16) -> u8 {
 mod tests {
     use super::*;
     use crate::align::packed::tests::unpacked;
+    use crate::evidence::Cell;
     use crate::evidence::presence::ALWAYS;
     use crate::geo::Zone;
 

@@ -61,7 +61,8 @@ pub fn encode_layer(tile: &Tile, grain: &Grain) -> Vec<u8> {
     let mut out = VarintWriter::default();
     out.put_all([grain.side, grain.steps].map(|v| v as u64).into_iter());
     out.put(u64::from(tile.newest_day()));
-    out.put(mean_passes(tile));
+    // What an answer says of the map where a tile knows nothing of its passes.
+    out.put(tile.mean_passes().round().clamp(1.0, f64::from(MAX_PASSES)) as u64);
     out.put(u64::from(tile.datum.declared.passes > 0));
     put_datum(&mut out, &tile.datum);
     out.put_all(steps.units.iter().map(|unit| u64::from(*unit)));
@@ -157,14 +158,6 @@ fn wide_masses(tile: &Tile, side: usize) -> Vec<f32> {
         masses[y / side * wide + x / side] += cell.mass() as f32;
     }
     masses
-}
-
-/// Passes over the cell of a typical hit: what an answer says of the map where a tile knows nothing of its passes.
-fn mean_passes(tile: &Tile) -> u64 {
-    let sums = tile.cells.iter().fold([0.0_f64; 2], |[weighted, hits], (_, cell)| {
-        [weighted + f64::from(cell.hits) * f64::from(cell.passes), hits + f64::from(cell.hits)]
-    });
-    (sums[0] / sums[1].max(1.0)).round().clamp(1.0, f64::from(MAX_PASSES)) as u64
 }
 
 /// The masses that are told apart.

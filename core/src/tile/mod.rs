@@ -109,6 +109,16 @@ impl Tile {
         self.cells.is_empty()
     }
 
+    /// Passes over the cell of a typical hit, 1 without hits: how many surveys the tile amounts to.
+    #[must_use]
+    pub fn mean_passes(&self) -> f64 {
+        let sums = self.cells.iter().fold([0.0_f64; 2], |[weighted, all], (_, cell)| {
+            let hits = f64::from(cell.hits);
+            [weighted + hits * f64::from(cell.passes), all + hits]
+        });
+        if sums[1] > 0.0 { sums[0] / sums[1] } else { 1.0 }
+    }
+
     /// The last UTC day anything was seen, counted from the Unix epoch; 0 when nothing was.
     #[must_use]
     pub fn newest_day(&self) -> u16 {

@@ -50,6 +50,16 @@ pub fn fixes(
     run(&world, &[base], &plan, &windows, &ProgressBar::hidden())
 }
 
+/// A pair of errors, metres, and its town and block.
+pub type ErrorPair = ((f64, f64), (usize, usize));
+
+/// The errors of a town's fixes and of those to compare with, which had the same requests, where neither is wrong: a wrong answer
+/// says nothing about a map's accuracy, and is much larger than the errors that do.
+pub fn right_pairs(town: usize, fixes: &[EpochRecord], others: &[EpochRecord]) -> Vec<ErrorPair> {
+    let right = fixes.iter().zip(others).filter(|(ours, other)| !ours.wrong() && !other.wrong());
+    right.map(|(ours, other)| ((ours.error_m(), other.error_m()), (town, ours.block))).collect()
+}
+
 /// A summary of many fixes.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Summary {

@@ -8,7 +8,7 @@ use echofix_core::tile::{self, Grain, Tile, decode_layer, encode_layer};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fixes::{Summary, fixes};
+use super::fixes::{Summary, fixes, right_pairs};
 use super::map::CrowdMap;
 use super::town::{self, Way};
 use super::uploads::{SentForm, cut};
@@ -137,9 +137,7 @@ impl LayerLine {
         let bytes: usize = towns.iter().map(|town| town.worths[crowd][which].bytes).sum();
         let pairs = |(number, town): (usize, &TownWorth)| {
             let [ours, whole] = [which, 0].map(|form| &town.worths[crowd][form].fixes);
-            // A wrong answer says nothing about the layer's accuracy, and is much larger than the errors that do.
-            let right = ours.iter().zip(whole).filter(|(ours, whole)| !ours.wrong() && !whole.wrong());
-            right.map(|(a, b)| ((a.error_m(), b.error_m()), (number, a.block))).collect::<Vec<_>>()
+            right_pairs(number, ours, whole)
         };
         let ratio = |pairs: &[_]| ratios(pairs, 0.95).map(|[p95, _]| p95);
         let each: Vec<_> = towns.iter().enumerate().map(pairs).collect();

@@ -7,7 +7,7 @@ use echofix_core::geo::{CELLS_PER_TILE, Zone};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fixes::{Summary, fixes};
+use super::fixes::{Summary, fixes, right_pairs};
 use super::map::CrowdMap;
 use super::town::{self, Way};
 use super::uploads::{SentForm, VehicleUpload, cut};
@@ -161,13 +161,9 @@ impl SizeLine {
     fn of(which: usize, all: &[(Vec<Worth>, f64)]) -> Self {
         let way_km: f64 = all.iter().map(|(_, km)| km).sum();
         let bytes: u64 = all.iter().map(|(worths, _)| worths[which].bytes).sum();
-        // All maps get the same requests in the same order.
-        let pairs = all.iter().enumerate().flat_map(|(town, (worths, _))| {
-            let rows = worths[which].fixes.iter().zip(&worths[0].fixes);
-            // A wrong answer says nothing about the map's accuracy, and is much larger than the errors that do.
-            let right = rows.filter(|(ours, finest)| !ours.wrong() && !finest.wrong());
-            right.map(move |(ours, finest)| ((ours.error_m(), finest.error_m()), (town, ours.block)))
-        });
+        let pairs = all.iter().enumerate();
+        let pairs =
+            pairs.flat_map(|(town, (worths, _))| right_pairs(town, &worths[which].fixes, &worths[0].fixes));
         let ratios = (which > 0).then(|| ratios(&pairs.collect::<Vec<_>>(), 0.95)).flatten();
         let rows: Vec<EpochRecord> = all.iter().flat_map(|(worths, _)| worths[which].fixes.clone()).collect();
         Self {
