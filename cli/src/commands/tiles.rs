@@ -29,7 +29,7 @@ enum TilesOperation {
         /// URL of the service's gRPC port.
         #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
         server: String,
-        /// Fetch the vehicle layer: all that localizing needs, in a fiftieth of the bytes of a crowd's map.
+        /// Fetch the vehicle layer: all that localizing needs, in a sixth of the bytes of one survey and an eightieth of a crowd's.
         #[arg(long)]
         layer: bool,
         /// Largest size of the folder, megabytes. Beyond it, the tiles that were not used for the longest time are removed.

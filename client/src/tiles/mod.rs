@@ -4,7 +4,7 @@
 //! ([`Want`]: an area, a route, tiles by their ids), takes what changed, and removes what the map no longer
 //! holds. [`TileCache::tile`] reads a tile without the network.
 //!
-//! [`TileCache::sync_layer`] takes the vehicle layer of the tiles instead, a fiftieth of the bytes and all that localizing needs.
+//! [`TileCache::sync_layer`] takes the vehicle layer of the tiles instead, a sixth to an eightieth of the bytes and all that localizing needs.
 //!
 //! A cache is a folder: `<EPSG code>/<x>_<y>_<version>.tile` or `.layer`, each file a tile as it came, in its checksummed
 //! codec. A file appears whole or not at all, so that the folder is sound whenever the process ends:

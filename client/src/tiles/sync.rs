@@ -52,8 +52,8 @@ impl TileCache {
         self.sync_as(Form::Tile, service, want).await
     }
 
-    /// As [`TileCache::sync`], but takes the vehicle layer of the tiles: what stands, and how much of it a pass hits, in a fiftieth of the
-    /// bytes. Of a service that knows no layers it takes the tiles, and keeps their layers.
+    /// As [`TileCache::sync`], but takes the vehicle layer of the tiles: what stands, and how much of it a pass hits, in a sixth to an
+    /// eightieth of the bytes. Of a service that knows no layers it takes the tiles, and keeps their layers.
     ///
     /// # Errors
     /// As [`TileCache::sync`].
