@@ -2,7 +2,7 @@
 //!
 //! `log(1 + smoothed mass / knee)` neither saturates after a few hits, as occupancy does, nor lets
 //! one bright cell outvote a wall. A cell's mass is the hits that a pass with it in view makes, on
-//! average ([`Cell::mass`]): a crowd's map weighs what a single survey's does, and what stands
+//! average ([`crate::evidence::Cell::mass`]): a crowd's map weighs what a single survey's does, and what stands
 //! weighs more than what was there once. Bytes keep sums exact, so that every engine
 //! finds the same maximum, and empty squares are not kept (`packed`).
 
