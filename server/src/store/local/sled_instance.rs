@@ -3,7 +3,8 @@
 use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::store::api::Error;
@@ -12,12 +13,18 @@ use crate::store::api::Error;
 const LOCK_WAIT: Duration = Duration::from_secs(10);
 /// How long an instance may take to close. All of its data are on disk before.
 const CLOSING: Duration = Duration::from_secs(5);
+/// How often a write that goes on is asked whether sled failed meanwhile.
+const WATCH: Duration = Duration::from_millis(100);
 
 /// How sled stores tiles: in segments so small that a small map takes little, rewritten when they hold little.
+///
+/// Without its thread that flushes: all writes here are flushed, and each rewrites a page that wants it. That thread keeps to itself
+/// that the disk refused what it rewrote, and the page it began stays in the way of all that is written after it: sled 0.34 returns
+/// from `Log::reserve_inner` with the reservation counted and no error noted. A write learns of its own failure.
 fn config(dir: &Path, cache_bytes: u64) -> sled::Config {
     const SEGMENT_BYTES: usize = 256 << 10;
     let config = sled::Config::new().path(dir).mode(sled::Mode::LowSpace);
-    config.segment_size(SEGMENT_BYTES).cache_capacity(cache_bytes)
+    config.segment_size(SEGMENT_BYTES).cache_capacity(cache_bytes).flush_every_ms(None)
 }
 
 impl From<sled::Error> for Error {
@@ -31,6 +38,8 @@ impl From<sled::Error> for Error {
 pub(in crate::store) struct Sled {
     /// `None` once it is dropped.
     handle: Option<(sled::Db, sled::Tree)>,
+    /// Shares sled's word on whether it failed.
+    config: sled::Config,
     /// sled failed.
     given_up: AtomicBool,
 }
@@ -38,9 +47,40 @@ pub(in crate::store) struct Sled {
 impl Sled {
     pub(in crate::store) fn open(dir: &Path, cache_bytes: u64) -> Result<Self, Error> {
         wait_until_unlocked(dir);
-        let db = config(dir, cache_bytes).open()?;
+        let config = config(dir, cache_bytes);
+        let db = config.open()?;
         let tree = db.open_tree("tiles")?;
-        Ok(Self { handle: Some((db, tree)), given_up: AtomicBool::new(false) })
+        Ok(Self { handle: Some((db, tree)), config, given_up: AtomicBool::new(false) })
+    }
+
+    /// Writes. Where one of the threads of sled 0.34 fails to write what a reservation left to it, it notes the error and wakes
+    /// nobody: who waits for those bytes, as a flush does, waits for ever. Any flush after the error wakes all who wait, and they
+    /// see it; so the work is watched, and woken.
+    pub(in crate::store) fn watched(
+        &self,
+        work: impl FnOnce() -> Result<(), sled::Error>,
+    ) -> Result<(), Error> {
+        let (done, ended) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let watch = move || {
+                loop {
+                    let goes_on = ended.recv_timeout(WATCH) == Err(RecvTimeoutError::Timeout);
+                    if self.config.global_error().is_err() {
+                        let _ = self.db().flush();
+                    }
+                    if !goes_on {
+                        return;
+                    }
+                }
+            };
+            let watcher = std::thread::Builder::new().name("watch-tiles".to_owned());
+            watcher
+                .spawn_scoped(scope, watch)
+                .map_err(|source| Error::Io { doing: "watching the tile store", source })?;
+            // Told that the work ended, with a panic as well.
+            let _done = done;
+            Ok(work()?)
+        })
     }
 
     pub(in crate::store) fn db(&self) -> &sled::Db {

@@ -29,7 +29,7 @@ impl SledTable {
     }
 
     fn write(&self, work: impl FnOnce() -> Result<(), sled::Error>) -> Result<(), Error> {
-        self.fuse.write(|| Ok(work()?)).inspect_err(|_| self.sled.give_up())
+        self.fuse.write(|| self.sled.watched(work)).inspect_err(|_| self.sled.give_up())
     }
 }
 

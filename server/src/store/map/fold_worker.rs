@@ -47,9 +47,13 @@ pub(in crate::store) fn run(shared: &StoreContext, mut folder: FoldWorker) {
                 shared.set_state(MapStatus::Serving);
             }
             Err(reason) => {
-                if reminded.is_none_or(|last: Instant| last.elapsed() > REMINDER) {
-                    tracing::error!(%reason, "folding failed; trying again");
-                    reminded = Some(Instant::now());
+                let reason = reason.to_string();
+                let told = reminded
+                    .as_ref()
+                    .is_some_and(|(last, at): &(String, Instant)| *last == reason && at.elapsed() < REMINDER);
+                if !told {
+                    tracing::error!(reason, "folding failed; trying again");
+                    reminded = Some((reason, Instant::now()));
                 }
                 if shared.served().is_some() {
                     shared.set_state(MapStatus::Stalled);
