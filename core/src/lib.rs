@@ -89,6 +89,7 @@ pub mod calibration;
 mod columns;
 pub mod convention;
 pub mod datum;
+pub mod demand;
 pub mod doppler;
 pub mod drive;
 pub mod evidence;

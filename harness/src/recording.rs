@@ -1,10 +1,11 @@
 //! A drive becomes uploads, through the vehicle's own recorder.
 
 use std::fmt;
+use std::sync::Arc;
 
 use anyhow::bail;
 use echofix_client::drivelog::{DriveEvent, replay};
-use echofix_client::upload::{FinishedTrip, PreparedUpload, Recorder, RecorderConfig};
+use echofix_client::upload::{Demand, FinishedTrip, PreparedUpload, Recorder, RecorderConfig};
 use echofix_core::convention::Finding;
 use echofix_core::drive::Drive;
 use echofix_core::gate::Dropped;
@@ -61,6 +62,8 @@ pub struct RecordedDrive {
     pub findings: Vec<Finding>,
     /// Measurements that the recorder did not take.
     pub flaws: DriveFlaws,
+    /// Uploads that were not made, since the service does not want them now.
+    pub not_wanted: u64,
 }
 
 /// Records a drive as its vehicle would.
@@ -68,6 +71,18 @@ pub struct RecordedDrive {
 /// # Errors
 /// When the drive has no reference poses, or no name that the service takes.
 pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedDrive> {
+    record_wanted(drive, config, None)
+}
+
+/// The same by a vehicle that keeps to what the service wants, where it knows that.
+///
+/// # Errors
+/// As [`record`].
+pub fn record_wanted(
+    drive: &Drive,
+    config: RecorderConfig,
+    demand: Option<&Arc<Demand>>,
+) -> anyhow::Result<RecordedDrive> {
     if drive.reference.is_empty() {
         bail!(
             "the drive of `{}` has no reference poses; a map can only be made from known poses",
@@ -75,6 +90,9 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
         );
     }
     let mut recorder = Recorder::new(config, &drive.vehicle, drive.mounts.clone())?;
+    if let Some(demand) = demand {
+        recorder.keep_to(Arc::clone(demand));
+    }
     let (mut uploads, mut flaws) = (Vec::new(), DriveFlaws::default());
     for event in replay(drive) {
         let time_us = event.time_us();
@@ -90,7 +108,7 @@ pub fn record(drive: &Drive, config: RecorderConfig) -> anyhow::Result<RecordedD
             flaws.skip(part, time_us, error.reason(), &error);
         }
     }
-    let FinishedTrip { upload, dropped, findings } = recorder.finish();
+    let FinishedTrip { upload, dropped, findings, not_wanted } = recorder.finish();
     uploads.extend(upload);
-    Ok(RecordedDrive { uploads, left_out: dropped.into(), findings, flaws })
+    Ok(RecordedDrive { uploads, left_out: dropped.into(), findings, flaws, not_wanted })
 }

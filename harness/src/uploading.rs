@@ -52,7 +52,7 @@ pub async fn upload_to(
     (patience, mut interrupted): (Duration, watch::Receiver<bool>),
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    let RecordedDrive { uploads, left_out, findings, flaws } = record(drive, config)?;
+    let RecordedDrive { uploads, left_out, findings, flaws, .. } = record(drive, config)?;
     let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
     let mut done = UploadedDrive { left_out, findings, flaws, ..UploadedDrive::default() };
     if uploads.is_empty() {

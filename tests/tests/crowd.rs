@@ -2,14 +2,16 @@
 //! taken back leaves no trace.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Duration;
 
-use echofix_client::upload::PreparedUpload;
+use echofix_client::upload::{Demand, PreparedUpload};
 use echofix_core::drive::Drive;
 use echofix_core::evidence::support_block;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::point::MapPoint;
 use echofix_core::time::DAY_US;
+use echofix_harness::recording::{record_wanted, to_the_ends};
 use echofix_proto::v1::GetCoverageRequest;
 use echofix_sim::City;
 use echofix_tests::asking;
@@ -349,4 +351,50 @@ async fn a_wall_that_one_of_four_invents_is_not_served() {
     );
     assert_eq!(by_honest[..2], [0, 0], "of {} phantom cells", phantom.len());
     assert!(by_honest.iter().sum::<usize>() * 10 < phantom.len(), "a wall is to be seen");
+}
+
+/// A vehicle drives along the street on a day and uploads what is wanted; how much it did not make, and what it was answered.
+async fn keeps_to(service: &Service, city: &City, day: u32, demand: &Arc<Demand>) -> (u64, usize) {
+    let drive = street(city, day, "regular");
+    let today = echofix_core::time::day_of(drive.reference[0].time_us);
+    let recorded = record_wanted(&drive, to_the_ends(), Some(demand)).expect("the drive is sound");
+    let mut client = grpc::mapping(service).await;
+    for upload in &recorded.uploads {
+        demand.learn(&send(&mut client, upload.parts()).await.expect("it is taken"), today);
+    }
+    folded(service).await;
+    (recorded.not_wanted, recorded.uploads.len())
+}
+
+/// Catches: a vehicle that is never told that enough is known, one that goes on all the same, and one that never comes back.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_street_that_is_known_well_is_uploaded_again_after_a_while() {
+    let enough = ["mapping.publish_contributors=1", "mapping.enough_passes=2", "mapping.refresh_days=14"];
+    let (service, city) = (Service::start_with(&enough), the_town());
+    let folder = tempfile::tempdir().expect("a folder can be made");
+    let open = || Arc::new(Demand::open(&folder.path().join("demand"), "regular").expect("it can be opened"));
+    let demand = open();
+    for day in 0..3 {
+        let (not_wanted, sent) = keeps_to(&service, &city, day, &demand).await;
+        assert!(not_wanted == 0 && sent > 0, "day {day}: {sent} sent, {not_wanted} not wanted");
+    }
+    demand.save().expect("it can be written");
+    let demand = open();
+    let (not_wanted, sent) = keeps_to(&service, &city, 3, &demand).await;
+    assert!(not_wanted > 0 && sent == 0, "{sent} sent, {not_wanted} not wanted");
+    let at = street(&city, 3, "regular").reference[5].at;
+    let request = GetCoverageRequest {
+        latitude_deg: vec![at.lat_deg, 0.0],
+        longitude_deg: vec![at.lon_deg, 0.0],
+        expectations: false,
+    };
+    let coverage =
+        grpc::reading(&service).await.get_coverage(request).await.expect("it is answered").into_inner();
+    let newest = coverage.newest_day[0];
+    assert!((newest + 12..=newest + 14).contains(&coverage.wanted_from_day[0]), "{coverage:?}");
+    assert_eq!(coverage.wanted_from_day[1], 0, "nothing is known there");
+    demand.surprise(at);
+    assert!(keeps_to(&service, &city, 4, &demand).await.1 > 0, "the map seemed to have changed");
+    let (_, sent) = keeps_to(&service, &city, 60, &demand).await;
+    assert!(sent > 0, "it is long ago");
 }

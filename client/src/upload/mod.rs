@@ -8,9 +8,13 @@
 //! 3. In the background the uploads are sent, oldest first, each until the service has
 //!    acknowledged it; an id counts once however often it is sent. What the service refuses for
 //!    good stays in the spool's `refused` folder with the reason.
+//!
+//! A [`Demand`] keeps what the service answered about the places that it knows well: a recorder that keeps to it sends of those
+//! what is wanted, which is little.
 
 mod config;
 mod contents;
+mod demand;
 mod progress;
 mod recorder;
 mod segment;
@@ -20,6 +24,7 @@ mod uploader;
 
 pub use config::{RecorderConfig, UploadForm};
 pub use contents::{DamagedUpload, PreparedUpload};
+pub use demand::Demand;
 pub use progress::{UploadEvent, UploadProgress, UploaderOptions};
 pub use recorder::{Error, FinishedTrip, Recorder};
 pub use spool::Spool;

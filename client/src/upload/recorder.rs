@@ -1,18 +1,21 @@
 //! Splits a drive into uploads.
 
+use std::sync::Arc;
+
 use echofix_core::convention::{Finding, Inspection};
 use echofix_core::drive::GeoPose;
 use echofix_core::drive::segment::usable_segments;
+use echofix_core::evidence::TileEvidence;
 use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
 use echofix_core::gate::Dropped;
-use echofix_core::geo::{self, MetresPerDegree, Zone, ground_distance_m};
+use echofix_core::geo::{self, Grid, LatLon, MetresPerDegree, TileId, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::slices::slices;
 use echofix_core::scan::{self, Mount, Scan};
-use echofix_core::time::DAY_US;
+use echofix_core::time::{DAY_US, day_of};
 
-use super::{PreparedUpload, RecorderConfig, UploadForm, segment};
+use super::{Demand, PreparedUpload, RecorderConfig, UploadForm, segment};
 
 /// A vehicle that stays near one position this long has arrived, as far as [`RecorderConfig::trim_ends_m`] goes.
 const ARRIVED_AFTER_US: i64 = 120_000_000;
@@ -91,6 +94,9 @@ pub struct Recorder {
     inspection: Inspection,
     /// Parts that the trip was cut into so far.
     parts: u64,
+    /// What the service wants, where the vehicle keeps to it.
+    demand: Option<Arc<Demand>>,
+    not_wanted: u64,
 }
 
 /// What is known at the end of a trip.
@@ -102,6 +108,8 @@ pub struct FinishedTrip {
     pub dropped: Dropped,
     /// What seems to be in another convention than the contract's; show it to whoever installed the vehicle.
     pub findings: Vec<Finding>,
+    /// Uploads that were not made, since the service does not want them now.
+    pub not_wanted: u64,
 }
 
 impl Recorder {
@@ -125,7 +133,14 @@ impl Recorder {
             told: Dropped::default(),
             inspection: Inspection::default(),
             parts: 0,
+            demand: None,
+            not_wanted: 0,
         })
+    }
+
+    /// Makes no upload of places that the service knows well, until the days on which it wants them again.
+    pub fn keep_to(&mut self, demand: Arc<Demand>) {
+        self.demand = Some(demand);
     }
 
     /// Takes a scan, in any order within the allowed lateness.
@@ -216,7 +231,8 @@ impl Recorder {
         for scan in &self.scans {
             count_lost(&mut self.dropped, scan);
         }
-        FinishedTrip { upload: last, dropped: self.dropped, findings: self.inspection.findings() }
+        let (dropped, findings) = (self.dropped, self.inspection.findings());
+        FinishedTrip { upload: last, dropped, findings, not_wanted: self.not_wanted }
     }
 
     /// What seems to be in another convention than the contract's, so far.
@@ -305,7 +321,9 @@ impl Recorder {
             for Chunk { poses, scans } in &raw.chunks {
                 upload.add(poses, scans);
             }
-            return (upload.detections() > 0).then_some(upload);
+            let way = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
+            let tiles = way.filter_map(|pose| Some((tile_at(pose.at)?, 1)));
+            return (upload.detections() > 0 && self.is_wanted(tiles, first_us)).then_some(upload);
         }
         let poses = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
         let sigmas = poses
@@ -314,7 +332,9 @@ impl Recorder {
             Ok(BuiltEvidence { delta, dropped, .. }) => {
                 self.dropped.add(&dropped);
                 upload.add_evidence(&delta, sigmas);
-                Some(upload)
+                let hits = |evidence: &TileEvidence| evidence.cells.iter().map(|c| u64::from(c.hits)).sum();
+                let tiles = delta.tiles.iter().map(|(id, evidence)| (*id, hits(evidence)));
+                self.is_wanted(tiles, first_us).then_some(upload)
             }
             // Poses were checked as they came: what fails here has nothing to map.
             Err(reason) => {
@@ -322,6 +342,13 @@ impl Recorder {
                 None
             }
         }
+    }
+
+    /// Is an upload wanted on its day? Counted, if not.
+    fn is_wanted(&mut self, tiles: impl Iterator<Item = (TileId, u64)>, first_us: i64) -> bool {
+        let wanted = self.demand.as_ref().is_none_or(|demand| demand.wants(tiles, day_of(first_us)));
+        self.not_wanted += u64::from(!wanted);
+        wanted
     }
 
     /// Forgets poses before one, and what came before it.
@@ -357,6 +384,11 @@ fn take_within(scans: &mut Vec<Scan>, segment: &[GeoPose]) -> Vec<Scan> {
     let from = scans.partition_point(|s| s.time_us < first.time_us);
     let to = scans.partition_point(|s| s.time_us <= last.time_us);
     scans.drain(from..to.max(from)).collect()
+}
+
+fn tile_at(at: LatLon) -> Option<TileId> {
+    let grid = Grid::of(at).ok()?;
+    Some(TileId::of(grid.zone(), grid.project(at).ok()?))
 }
 
 /// Metres between two poses that are near each other.

@@ -103,6 +103,8 @@ pub enum Experiment {
     Upload,
     /// The size of a vehicle's map against its accuracy.
     Layer,
+    /// Uploads of what is wanted only, against all.
+    Demand,
     /// How many contributors must have hit something near a cell for it to be served.
     Support,
     /// Whether answers may be believed, in families of worlds that nothing was tuned on.
@@ -126,12 +128,13 @@ impl Experiment {
     ];
 
     /// Experiments with their own towns and maps. They run only when they are named.
-    pub const OF_THE_CROWD: [Self; 8] = [
+    pub const OF_THE_CROWD: [Self; 9] = [
         Self::Year,
         Self::Attacks,
         Self::Vetting,
         Self::Upload,
         Self::Layer,
+        Self::Demand,
         Self::Support,
         Self::Trust,
         Self::Drives,
@@ -153,6 +156,7 @@ impl Experiment {
             Self::Vetting => "vetting",
             Self::Upload => "upload",
             Self::Layer => "layer",
+            Self::Demand => "demand",
             Self::Support => "support",
             Self::Trust => "trust",
             Self::Drives => "drives",
@@ -167,7 +171,9 @@ impl Experiment {
             Self::Trust => "trust.md",
             Self::Layer => "layer.md",
             Self::Drives => "drives.md",
-            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Support => "crowd.md",
+            Self::Year | Self::Attacks | Self::Vetting | Self::Upload | Self::Demand | Self::Support => {
+                "crowd.md"
+            }
             Self::Headline | Self::Batch | Self::Drift | Self::Crowd | Self::Ambiguity | Self::Ablation => {
                 "paper.md"
             }
@@ -201,6 +207,7 @@ impl Experiment {
             | Self::Vetting
             | Self::Upload
             | Self::Layer
+            | Self::Demand
             | Self::Support
             | Self::Trust
             | Self::Drives => Vec::new(),

@@ -244,6 +244,7 @@ fn poses_and_detections(mapping: &MappingConfig) -> Vec<Rule> {
         ),
         ("mapping.max_speed_mps", within(mapping.max_speed_mps, 1_000.0), "must be above 0 and at most 1000"),
         ("mapping.max_speed_mps", mapping.max_speed_mps > mapping.min_speed_mps, "must exceed min_speed_mps"),
+        ("mapping.refresh_days", (1..=365).contains(&mapping.refresh_days), "must be 1 to 365"),
     ]
 }
 

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use echofix_core::align::localizability::Expected;
+use echofix_core::demand::DemandPolicy;
 use echofix_core::geo::{CELL_M, CELLS_PER_TILE, Grid, LatLon, TileId, Zone};
 use echofix_core::point::MapPoint;
 use echofix_core::pose::{Pose2, wrap_axis};
@@ -30,14 +31,14 @@ const RADIUS_M: f64 = 50.0;
 const TILES_KEPT: usize = 64;
 
 pub(super) async fn get_coverage(
-    (store, expectations): (Arc<dyn MapStore>, Arc<Expectations>),
+    (store, expectations, demand): (Arc<dyn MapStore>, Arc<Expectations>, DemandPolicy),
     request: GetCoverageRequest,
     permits: (OwnedSemaphorePermit, (Place, Option<Place>)),
 ) -> Result<GetCoverageResponse, Status> {
     let route = route(&request).map_err(|violation| status::invalid(&violation))?;
     attended(&Handle::current(), None, move |patience| {
         let _permits = permits;
-        let mut response = coverage(&*store, &route, patience)?;
+        let mut response = coverage(&*store, demand, &route, patience)?;
         if request.expectations {
             response.expected = expected(&*store, &expectations, &route, patience)?;
         }
@@ -62,11 +63,12 @@ fn route(request: &GetCoverageRequest) -> Result<Vec<LatLon>, InvalidField> {
 
 fn coverage(
     store: &dyn MapStore,
+    demand: DemandPolicy,
     route: &[LatLon],
     patience: &Patience,
 ) -> Result<GetCoverageResponse, Status> {
     let epoch = store.progress().borrow().epoch;
-    let mut reader = CoverageReader { store, grid: None, tiles: HashMap::new() };
+    let mut reader = CoverageReader { store, demand, grid: None, tiles: HashMap::new() };
     let contributors_needed = u32::from(store.totals().needed);
     let mut response = GetCoverageResponse { epoch, contributors_needed, ..GetCoverageResponse::default() };
     for at in route {
@@ -81,6 +83,7 @@ fn coverage(
         response.cells.push(seen.cells);
         response.newest_day.push(u32::from(seen.newest_day));
         response.contributors.push(u32::from(seen.waiting));
+        response.wanted_from_day.push(u32::from(seen.wanted_from));
     }
     Ok(response)
 }
@@ -140,10 +143,13 @@ struct PointCoverage {
     newest_day: u16,
     /// The most contributors that have seen what is not served yet, where nothing is.
     waiting: u8,
+    /// The day from which on an upload of the tile at the point is wanted.
+    wanted_from: u16,
 }
 
 struct CoverageReader<'a> {
     store: &'a dyn MapStore,
+    demand: DemandPolicy,
     grid: Option<Grid>,
     tiles: HashMap<TileId, Option<Arc<Tile>>>,
 }
@@ -160,6 +166,8 @@ impl CoverageReader<'_> {
                 look(&tile, id, centre, &mut seen);
             }
         }
+        let here = self.tile(TileId::of(zone, centre))?;
+        seen.wanted_from = self.demand.wanted_from(here.as_deref());
         if seen.cells == 0 {
             seen.waiting = self.waiting(zone, centre)?;
         }

@@ -23,6 +23,7 @@ mod upload;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use echofix_core::demand::DemandPolicy;
 use echofix_proto::v1;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
@@ -51,6 +52,7 @@ const OPEN_FOR_ONE: usize = 4;
 pub struct MapApi {
     store: Arc<dyn MapStore>,
     expectations: Arc<Expectations>,
+    demand: DemandPolicy,
     /// Requests that are being answered, at their callers' pace.
     open: Arc<Pool>,
     /// Those of them that read the map.
@@ -67,13 +69,14 @@ impl MapApi {
     #[must_use]
     pub fn new(
         store: Arc<dyn MapStore>,
-        expectations: Arc<Expectations>,
+        (expectations, demand): (Arc<Expectations>, DemandPolicy),
         (at_once, address_share): (usize, f64),
         (pace, lanes): (Pace, Lanes),
     ) -> Self {
         let open = Pool::new(OPEN_FOR_ONE * at_once, address_share);
         let expecting = Pool::new(at_once.div_ceil(EXPECTING_SHARE), address_share);
-        Self { store, expectations, open, reads: Arc::new(Semaphore::new(at_once)), expecting, lanes, pace }
+        let reads = Arc::new(Semaphore::new(at_once));
+        Self { store, expectations, demand, open, reads, expecting, lanes, pace }
     }
 }
 
@@ -110,7 +113,8 @@ impl v1::map_service_server::MapService for MapApi {
         let busy = "too many ask for expectations at once";
         let expecting = expects.then(|| place(&self.expecting, peer, busy)).transpose()?;
         let places = (place(&self.open, peer, "too many readers at once")?, expecting);
-        let (known, reads) = ((self.store.clone(), self.expectations.clone()), self.reads.clone());
+        let known = (self.store.clone(), self.expectations.clone(), self.demand);
+        let reads = self.reads.clone();
         let call = async move {
             let permit = reads.acquire_owned().await.map_err(|_| status::gone())?;
             get_coverage::get_coverage(known, request.into_inner(), (permit, places)).await
@@ -158,6 +162,12 @@ pub(crate) async fn attended<T: Send + 'static>(
 /// Microseconds since the Unix epoch.
 pub(crate) fn now_us() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_micros() as i64)
+}
+
+/// The tile of a message that the service made itself.
+pub(crate) fn core_tile_id(id: &v1::TileId) -> Option<echofix_core::geo::TileId> {
+    let zone = echofix_core::geo::Zone::from_epsg(id.epsg).ok()?;
+    Some(echofix_core::geo::TileId { zone, x: id.x, y: id.y })
 }
 
 /// A tile id as it is on the wire.

@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use super::access::Counted;
 use super::invalid_field::InvalidField;
-use super::{blocking, now_us, status, tile_id};
+use super::{blocking, core_tile_id, now_us, status, tile_id};
 use crate::feed::{Feed, UploadEvent};
 use crate::lanes::Lanes;
 use crate::mapping::MappingConfig;
@@ -89,7 +89,10 @@ impl MappingApi {
         let (id, this) = (received.id, self.clone());
         // Not tied to this call: once begun, it ends, whether or not the caller waits for it.
         let outcome = blocking(move || {
-            let outcome = this.validate_and_commit(received);
+            let mut outcome = this.validate_and_commit(received);
+            if let Ok(response) = &mut outcome {
+                this.tell_demand(response);
+            }
             drop((permit, place));
             outcome
         })
@@ -126,6 +129,18 @@ impl MappingApi {
                 Ok(UploadResponse { epoch, ..response })
             }
             duplicate @ Receipt::Duplicate { .. } => repeated(duplicate),
+        }
+    }
+
+    /// Says of each tile when the next upload of it is wanted. It is not journaled: what is repeated is what is wanted by then.
+    fn tell_demand(&self, response: &mut UploadResponse) {
+        let policy = self.config.demand();
+        for contribution in &mut response.tiles {
+            let id = contribution.tile.as_ref().and_then(core_tile_id);
+            // What cannot be read now is wanted.
+            let tile = id.and_then(|id| self.store.tile(id).ok().flatten());
+            contribution.wanted_from_day =
+                u32::from(policy.wanted_from(tile.as_ref().map(|stored| &*stored.tile)));
         }
     }
 
@@ -196,6 +211,7 @@ fn response(id: Uuid, contributed: &BuiltEvidence, before: &DroppedDetections) -
         tile: Some(tile_id(*id)),
         cells: evidence.cells.len() as u32,
         detections: evidence.cells.iter().map(|cell| cell.hits).sum(),
+        wanted_from_day: 0,
     };
     UploadResponse {
         upload_id: id.to_string(),

@@ -1,6 +1,7 @@
 //! What an upload must fulfil.
 
 use crate::store::Policy;
+use echofix_core::demand::DemandPolicy;
 use echofix_core::drive::segment::SegmentLimits;
 use echofix_core::evidence::build::EvidenceLimits;
 use echofix_core::gate::{Gate, MAX_RANGE_M};
@@ -44,6 +45,10 @@ pub struct MappingConfig {
     /// Uploads stay revocable, and their contributors' hashes known, for this long after they came, days;
     /// 0 keeps them for ever.
     pub retention_days: u16,
+    /// Passes over a place that are enough: further uploads of it are wanted now and then only; 0 wants all.
+    pub enough_passes: u16,
+    /// Days after the newest upload of such a place from which on another one is wanted.
+    pub refresh_days: u16,
     /// Bytes of one upload, at most.
     pub max_upload_bytes: usize,
     /// Detections of one upload, at most.
@@ -74,6 +79,8 @@ impl Default for MappingConfig {
             expire_days: 365,
             max_age_days: 0,
             retention_days: 90,
+            enough_passes: DemandPolicy::default().enough_passes,
+            refresh_days: DemandPolicy::default().refresh_days,
             max_upload_bytes: 16 << 20,
             max_upload_detections: 500_000,
             max_upload_tiles: 4_096,
@@ -94,6 +101,12 @@ impl MappingConfig {
             decay: Some(Decay { half_life_days: self.half_life_days, expire_days: self.expire_days }),
             vetting: self.vet.then_some(limits),
         }
+    }
+
+    /// Which places are worth another upload.
+    #[must_use]
+    pub fn demand(&self) -> DemandPolicy {
+        DemandPolicy { enough_passes: self.enough_passes, refresh_days: self.refresh_days }
     }
 
     /// What poses and detections must fulfil. Sigmas come in single precision, in which one that keeps to its limit may

@@ -48,6 +48,7 @@ pub(super) async fn serve(
         (&shared.config.limits, &shared);
 
     let mapping = shared.config.mapping.clone();
+    let demand = mapping.demand();
     let shared_by = (address_share, lanes.clone());
     let mapping = MappingApi::new(store.clone(), feed.clone(), metrics.clone(), mapping, shared_by);
     let mapping = MappingServiceServer::new(mapping)
@@ -67,7 +68,7 @@ pub(super) async fn serve(
         .accept_compressed(Zstd);
     let map = MapApi::new(
         store.clone(),
-        expectations.clone(),
+        (expectations.clone(), demand),
         (reads_at_once, address_share),
         (limits.pace(), lanes.clone()),
     );

@@ -76,6 +76,11 @@ impl CrowdMap {
         RadarMap::of_tiles(key, self.zone, self.folded.tiles.clone())
     }
 
+    /// What is served of a tile, without decay.
+    pub fn served_tile(&self, id: TileId, least: u8) -> Option<Tile> {
+        self.folded.tiles.get(&id).map(|tile| tile.published(least, None, &Decay::default()))
+    }
+
     /// The tiles that are served: cells with the support of `least` contributors, decayed to `today`, a day counted from the
     /// Unix epoch.
     pub fn published(&self, least: u8, today: Option<u16>) -> BTreeMap<TileId, Tile> {

@@ -5,9 +5,11 @@
 //! - [`year`]: how maps age; [`attack`], [`attacks`]: what bad contributors can do.
 //! - [`vetting`]: which uploads vetting keeps out; [`support`]: how many contributors must agree for a cell to be served.
 //! - [`size`]: the size of uploads against the accuracy of the map; [`layer`]: of what a vehicle keeps of it.
+//! - [`demand`]: uploads of what is wanted only.
 
 pub mod attack;
 pub mod attacks;
+pub mod demand;
 pub mod fixes;
 pub mod layer;
 pub mod map;
@@ -106,6 +108,7 @@ pub fn run(experiment: Experiment, scale: &Scale) -> anyhow::Result<Option<Crowd
         Experiment::Vetting => vetting::run(scale)?,
         Experiment::Upload => size::run(scale)?,
         Experiment::Layer => layer::run(scale)?,
+        Experiment::Demand => demand::run(scale)?,
         Experiment::Support => support::run(scale)?,
         _ => return Ok(None),
     }))

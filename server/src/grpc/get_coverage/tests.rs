@@ -44,7 +44,7 @@ async fn work_ends_with_its_caller() {
         };
         let permit = Arc::clone(&permits).try_acquire_owned().unwrap();
         get_coverage(
-            (Arc::clone(&known), Arc::clone(&expectations)),
+            (Arc::clone(&known), Arc::clone(&expectations), DemandPolicy::default()),
             request,
             (permit, (Pool::new(1, 1.0).take(Peer::unknown()).unwrap(), None)),
         )
