@@ -22,7 +22,11 @@ pub struct Access {
 impl Look for Access {
     fn look<B>(&self, request: &mut Request<B>) -> Result<(), Status> {
         let caller = Arc::new(self.admit(request)?);
-        request.extensions_mut().insert(Counted { caller, rates: Arc::clone(&self.rates) });
+        request.extensions_mut().insert(Counted {
+            caller,
+            gate: Arc::clone(&self.gate),
+            rates: Arc::clone(&self.rates),
+        });
         Ok(())
     }
 }
@@ -59,12 +63,20 @@ impl Access {
 #[derive(Clone)]
 pub(super) struct Counted {
     pub(super) caller: Arc<Caller>,
+    gate: Arc<Gate>,
     rates: Arc<Rates>,
 }
 
 impl Counted {
     /// Counts one more for the caller: of a stream, whose messages come after it was let in.
+    ///
+    /// # Errors
+    /// When it was too many, or what told of the caller no longer counts.
     pub(super) fn count(&self, what: Rated) -> Result<(), Status> {
+        if !self.gate.holds(&self.caller) {
+            let over = "the token of this stream has expired, or its key counts no longer; connect again with another";
+            return Err(refused(&Refusal::Unauthenticated(over.to_owned())));
+        }
         self.rates.count(what, &self.caller).map_err(too_often)
     }
 

@@ -87,6 +87,9 @@ pub async fn events(
         last = told.number.unwrap_or(last);
         (told.kind != "fix" || sees_fixes).then(|| Some(told.event(log.id(last))))
     });
+    // A listener hears something every two seconds, and no more once its token has expired.
+    let gate = Arc::clone(&app.gate);
+    let stream = stream.take_while(move |_| gate.holds(&caller));
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {
         // The permit is returned when the stream ends.

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::net::IpAddr;
 
+use super::jwt::Lease;
 use super::role::{Role, Roles};
 
 /// Characters of a caller's name, at most; contributors' names have no more.
@@ -19,6 +20,8 @@ pub enum Known {
     Certificate,
     /// By a bearer token, or a session that began with one.
     Token,
+    /// By a token of the configured issuer (JWT), or a session that began with one.
+    Jwt,
     /// By the header of a proxy on this machine.
     Proxy,
 }
@@ -32,6 +35,7 @@ impl Known {
             Self::Anonymous => "anonymous",
             Self::Certificate => "certificate",
             Self::Token => "token",
+            Self::Jwt => "jwt",
             Self::Proxy => "proxy",
         }
     }
@@ -48,6 +52,8 @@ pub struct Caller {
     pub known: Known,
     /// Where the connection comes from.
     pub address: Option<IpAddr>,
+    /// For how long this holds, where a token says so.
+    pub lease: Option<Lease>,
 }
 
 /// A contributor that the caller may not upload for.
@@ -65,7 +71,13 @@ impl Caller {
     /// One who is asked nothing and may do everything: on the service's own machine.
     #[must_use]
     pub fn unasked() -> Self {
-        Self { name: String::new(), roles: Role::Admin.into(), known: Known::Unasked, address: None }
+        Self {
+            name: String::new(),
+            roles: Role::Admin.into(),
+            known: Known::Unasked,
+            address: None,
+            lease: None,
+        }
     }
 
     /// Whether the caller may do what takes this role.
@@ -85,7 +97,7 @@ impl Caller {
         match self.known {
             Known::Unasked => return Ok(named.to_owned()),
             Known::Anonymous => return Ok(format!("?{named}")),
-            Known::Certificate | Known::Token | Known::Proxy => {}
+            Known::Certificate | Known::Token | Known::Jwt | Known::Proxy => {}
         }
         let vouches = self.roles.include(Role::Gateway).then(|| format!("{}/", self.name));
         let below = |vouches: &String| named.len() > vouches.len() && named.starts_with(vouches.as_str());
@@ -132,7 +144,7 @@ mod tests {
     use super::*;
 
     fn caller(roles: &str, name: &str, known: Known) -> Caller {
-        Caller { name: name.to_owned(), roles: roles.parse().unwrap(), known, address: None }
+        Caller { name: name.to_owned(), roles: roles.parse().unwrap(), known, address: None, lease: None }
     }
 
     /// Catches: one vehicle that is several witnesses because it gives several names.

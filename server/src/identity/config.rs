@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::jwt;
 use super::role::{Role, Roles};
 
 /// What encrypts both ports. An empty path is none.
@@ -39,6 +40,24 @@ pub struct IdentityConfig {
     pub trust_domain: String,
     /// Whether anybody may read `/metrics`.
     pub open_metrics: bool,
+    /// The issuer's public keys (JWKS), which sign tokens: a file, or an https address. Empty takes no JWT.
+    pub jwt_jwks: String,
+    /// PEM of the authorities of that address; empty takes those of the system.
+    pub jwt_jwks_ca: String,
+    /// How often the address is asked, seconds.
+    pub jwt_refresh_s: u64,
+    /// The issuer that tokens must name.
+    pub jwt_issuer: String,
+    /// The audience that tokens must name.
+    pub jwt_audience: String,
+    /// The claim with the caller's name.
+    pub jwt_name_claim: String,
+    /// The claim with what stands for roles.
+    pub jwt_role_claim: String,
+    /// What its values stand for, as `VALUE=ROLE`.
+    pub jwt_roles: Vec<String>,
+    /// By how much the issuer's clock may differ, seconds.
+    pub jwt_leeway_s: u64,
 }
 
 /// A file that cannot be used.
@@ -59,6 +78,7 @@ pub enum Error {
          - certificates: `echofix identity init DIR --name HOST` makes them and prints what to configure;\n  \
          - tokens: `echofix token create --role operator --name NAME --file FILE`, `identity.tokens` and \
          `tls.certificate`;\n  \
+         - tokens of an issuer (JWT): `identity.jwt_jwks` and those beside it, and `tls.certificate`;\n  \
          - a proxy on this machine that authenticates: listen on 127.0.0.1 and set `identity.proxy_header`;\n  \
          - nobody is asked: `--anonymous=vehicle`, `--anonymous=mapper` or `--anonymous=operator`;\n  \
          - only this machine: listen on 127.0.0.1"
@@ -115,7 +135,10 @@ impl TlsConfig {
 impl IdentityConfig {
     /// Is there any way to be known?
     fn identifies(&self, tls: &TlsConfig) -> bool {
-        !(tls.client_ca.is_empty() && self.tokens.is_empty() && self.proxy_header.is_empty())
+        !(tls.client_ca.is_empty()
+            && self.tokens.is_empty()
+            && self.jwt_jwks.is_empty()
+            && self.proxy_header.is_empty())
     }
 
     pub(super) fn strangers(&self, tls: &TlsConfig) -> Strangers {
@@ -132,7 +155,7 @@ impl IdentityConfig {
 /// # Errors
 /// The first rule that is broken.
 pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<(), Error> {
-    let rules = rules(tls, identity);
+    let rules = [rules(tls, identity), jwt::rules_of(identity)].concat();
     if let Some((key, _, rule)) = rules.into_iter().find(|(_, holds, _)| !holds) {
         return Err(Error::Value { key, rule });
     }
@@ -142,7 +165,7 @@ pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) 
     if identity.strangers(tls) == Strangers::Unasked {
         return Err(Error::Nobody { address });
     }
-    if !identity.tokens.is_empty() && !tls.is_on() && !identity.plaintext {
+    if !(identity.tokens.is_empty() && identity.jwt_jwks.is_empty()) && !tls.is_on() && !identity.plaintext {
         return Err(Error::Readable { address });
     }
     Ok(())

@@ -12,10 +12,11 @@ use super::access::{self, Access, Call};
 use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
 use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
+use super::jwt::{self, Told};
 use super::peer::{Closing, Entry, Peer, Peers};
 use super::role::{Role, Roles};
-use super::sessions::{COOKIE, Sessions};
-use super::tls::{Files, Identified};
+use super::sessions::{Basis, COOKIE, Sessions};
+use super::tls::{Files, Identified, now_s};
 use super::tokens::{TokenHash, hash_of};
 
 /// Why a call is not answered.
@@ -49,6 +50,8 @@ pub struct Gate {
     files: Mutex<Files>,
     peers: Arc<Peers>,
     sessions: Sessions,
+    /// The address of an issuer's keys.
+    keys: jwt::Source,
 }
 
 impl Gate {
@@ -68,7 +71,7 @@ impl Gate {
         let (peers, sessions, current) =
             (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
         let files = Mutex::new(files);
-        Self { tls, identity, strangers, current, files, peers, sessions }
+        Self { tls, identity, strangers, current, files, peers, sessions, keys: jwt::Source::default() }
     }
 
     /// As configured, for ports at these addresses. Reads the files.
@@ -77,7 +80,7 @@ impl Gate {
     /// When others reach a port and nobody is asked, or a file cannot be used.
     pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<Self, Error> {
         check(tls, identity, listen)?;
-        let files = Files::read(tls, identity)?;
+        let files = Files::read(tls, identity, &jwt::Source::default())?;
         let identified = Identified::of(&files, tls, identity)?;
         let strangers = identity.strangers(tls);
         Ok(Self::with(tls.clone(), identity.clone(), strangers, (files, identified)))
@@ -101,7 +104,7 @@ impl Gate {
     }
 
     fn replace(&self) -> Result<bool, TlsError> {
-        let fresh = Files::read(&self.tls, &self.identity)?;
+        let fresh = Files::read(&self.tls, &self.identity, &self.keys)?;
         let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
         if *files == fresh {
             return Ok(false);
@@ -118,7 +121,7 @@ impl Gate {
 
     /// Whether there is any file to look at.
     pub(super) fn has_files(&self) -> bool {
-        self.tls.is_on() || !self.identity.tokens.is_empty()
+        self.tls.is_on() || !self.identity.tokens.is_empty() || !self.identity.jwt_jwks.is_empty()
     }
 
     /// Takes a connection in, with the certificates it showed, its own first.
@@ -172,6 +175,7 @@ impl Gate {
             roles: Roles::default(),
             known: Known::Anonymous,
             address: peer.map(|peer| peer.address.ip()),
+            lease: None,
         };
         let Some(least) = least else { return Ok(caller.unwrap_or_else(|_| nobody())) };
         let caller = caller?;
@@ -196,25 +200,63 @@ impl Gate {
             return Err(refused("the certificate of this connection no longer passes; connect again"));
         }
         if let Some(token) = bearer(headers)? {
-            let unknown = || refused("this token is not known; ask an operator for another");
-            return self.holder(hash_of(token), peer).ok_or_else(unknown);
+            return self.bearer(token, peer).map(|(caller, _)| caller);
         }
         if let Some(id) = session(headers) {
             let over = || refused("the session is over; sign in again");
-            let token = self.sessions.token(id, Instant::now()).ok_or_else(over)?;
-            return self.holder(token, peer).ok_or_else(over);
+            let caller = match self.sessions.basis(id, Instant::now()).ok_or_else(over)? {
+                Basis::Token(token) => self.holder(token, peer),
+                Basis::Jwt(caller) => Some(Caller { address, ..caller }).filter(|caller| self.holds(caller)),
+            };
+            return caller.ok_or_else(over);
         }
         if let Some(subject) = peer.and_then(Peer::subject) {
             let subject = subject.as_ref().map_err(|reason| refused(reason))?;
             let (name, roles) = (subject.name.clone(), subject.roles);
-            return Ok(Caller { name, roles, known: Known::Certificate, address });
+            return Ok(Caller { name, roles, known: Known::Certificate, address, lease: None });
         }
         if let Some(told) = self.told_by_proxy(peer, headers) {
             let (role, name) = told?;
-            return Ok(Caller { name: name.to_owned(), roles: role.into(), known: Known::Proxy, address });
+            let (name, roles) = (name.to_owned(), role.into());
+            return Ok(Caller { name, roles, known: Known::Proxy, address, lease: None });
         }
         let roles = if let Strangers::With(roles) = self.strangers { roles } else { Roles::default() };
-        Ok(Caller { name: String::new(), roles, known: Known::Anonymous, address })
+        Ok(Caller { name: String::new(), roles, known: Known::Anonymous, address, lease: None })
+    }
+
+    /// Who brings a bearer token, and what a session with it rests on.
+    fn bearer(&self, token: &str, peer: Option<&Peer>) -> Result<(Caller, Basis), Refusal> {
+        let hash = hash_of(token);
+        if let Some(caller) = self.holder(hash, peer) {
+            return Ok((caller, Basis::Token(hash)));
+        }
+        if self.identity.jwt_jwks.is_empty() || !jwt::looks_like_one(token) {
+            return Err(refused("this token is not known; ask an operator for another"));
+        }
+        let current = self.current.load();
+        let told = jwt::told_by(token, &current.keys, &self.identity).map_err(|error| {
+            if error == jwt::NotTaken::UnknownKey {
+                self.keys.want();
+            }
+            refused(&error.to_string())
+        })?;
+        let (Told { name, roles, lease }, address) = (told, peer.map(|peer| peer.address.ip()));
+        let caller = Caller { name, roles, known: Known::Jwt, address, lease: Some(lease) };
+        Ok((caller.clone(), Basis::Jwt(caller)))
+    }
+
+    /// Whether what told of a caller still counts: the token's time is not over, and its key is still the issuer's.
+    #[must_use]
+    pub fn holds(&self, caller: &Caller) -> bool {
+        caller.lease.as_ref().is_none_or(|lease| lease.holds(&self.current.load().keys, now_s()))
+    }
+
+    pub(super) fn identity(&self) -> &IdentityConfig {
+        &self.identity
+    }
+
+    pub(super) fn key_source(&self) -> &jwt::Source {
+        &self.keys
     }
 
     fn holder(&self, token: TokenHash, peer: Option<&Peer>) -> Option<Caller> {
@@ -222,7 +264,8 @@ impl Gate {
         let holder = current.tokens.holder(&token)?;
         peer.inspect(|peer| peer.note(token));
         let address = peer.map(|peer| peer.address.ip());
-        Some(Caller { name: holder.name.clone(), roles: holder.roles, known: Known::Token, address })
+        let (name, roles) = (holder.name.clone(), holder.roles);
+        Some(Caller { name, roles, known: Known::Token, address, lease: None })
     }
 
     /// What a proxy on this machine says; anybody else's header says nothing.
@@ -253,10 +296,8 @@ impl Gate {
         peer: Option<&Peer>,
         scope: CookieScope<'_>,
     ) -> Result<(Caller, String), Refusal> {
-        let hash = hash_of(token);
-        let caller = self.holder(hash, peer);
-        let caller = caller.ok_or_else(|| refused("this token is not known; ask an operator for another"))?;
-        let id = self.sessions.begin(hash, Instant::now());
+        let (caller, basis) = self.bearer(token, peer)?;
+        let id = self.sessions.begin(basis, Instant::now());
         let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
         let lasts = super::sessions::LASTS.as_secs();
         Ok((caller, cookie(&id, lasts, self.within(scope, peer))))

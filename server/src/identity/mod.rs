@@ -8,6 +8,7 @@
 //! - [`sessions`]: browsers that have signed in.
 //! - [`tls`]: certificate, key, authority and revocations, checked and made into rustls's configuration.
 //! - [`config`]: the sections `[tls]` and `[identity]`.
+//! - [`jwt`]: tokens of an issuer, its keys, and what its claims stand for.
 //! - [`peer`]: the other end of a connection.
 //! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
 //! - [`rates`]: how often a caller may ask.
@@ -18,6 +19,7 @@ mod caller;
 mod certificate;
 mod config;
 mod gate;
+mod jwt;
 mod peer;
 mod rates;
 mod reload;
@@ -30,6 +32,7 @@ pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
 pub use gate::{CookieScope, Gate, Refusal};
+pub use jwt::{Lease, keep_keys};
 pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;

@@ -98,6 +98,7 @@ mod tests {
             roles: Role::Mapper.into(),
             known: Known::Token,
             address: None,
+            lease: None,
         };
         let taken =
             |what, name: &str| (0..50).take_while(|_| rates.count(what, &caller(name)).is_ok()).count();

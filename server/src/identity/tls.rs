@@ -1,4 +1,4 @@
-//! Certificate, key, authority, revocations and tokens: read from their files, checked, and made into what connections are
+//! Certificate, key, authority, revocations, tokens and an issuer's keys: read from their files, checked, and made into what connections are
 //! held against.
 
 use std::fs::File;
@@ -15,6 +15,7 @@ use rustls::{RootCertStore, ServerConfig};
 
 use super::certificate::not_after;
 use super::config::{IdentityConfig, TlsConfig, TlsError};
+use super::jwt;
 use super::tokens::{MAX_BYTES, Tokens};
 use crate::port::Port;
 
@@ -26,17 +27,24 @@ pub(super) struct Files {
     client_ca: Vec<u8>,
     crl: Vec<u8>,
     tokens: Vec<u8>,
+    jwks: Vec<u8>,
 }
 
 impl Files {
     /// Reads those that are named.
-    pub(super) fn read(tls: &TlsConfig, identity: &IdentityConfig) -> Result<Self, TlsError> {
+    pub(super) fn read(
+        tls: &TlsConfig,
+        identity: &IdentityConfig,
+        fetched: &jwt::Source,
+    ) -> Result<Self, TlsError> {
+        let jwks = &identity.jwt_jwks;
         Ok(Self {
             certificate: read("tls.certificate", &tls.certificate)?,
             key: read("tls.key", &tls.key)?,
             client_ca: read("tls.client_ca", &tls.client_ca)?,
             crl: read("tls.crl", &tls.crl)?,
             tokens: read("identity.tokens", &identity.tokens)?,
+            jwks: if jwt::is_address(jwks) { fetched.last() } else { read("identity.jwt_jwks", jwks)? },
         })
     }
 }
@@ -64,6 +72,8 @@ pub struct Identified {
     /// The end of the service's certificate, seconds since the Unix epoch.
     pub not_after: Option<i64>,
     pub(super) tokens: Tokens,
+    /// The issuer's.
+    pub(super) keys: jwt::Keys,
 }
 
 impl Identified {
@@ -74,8 +84,13 @@ impl Identified {
             .map_err(|error| failed("identity.tokens", &identity.tokens, error.to_string()))?;
         let tokens = Tokens::read(text)
             .map_err(|error| failed("identity.tokens", &identity.tokens, error.to_string()))?;
+        let of_keys = |reason| failed("identity.jwt_jwks", &identity.jwt_jwks, reason);
+        let keys = jwt::check(&files.jwks).map_err(of_keys)?;
+        if keys.is_empty() && !identity.jwt_jwks.is_empty() && !jwt::is_address(&identity.jwt_jwks) {
+            return Err(of_keys("is empty".to_owned()));
+        }
         if !tls.is_on() {
-            return Ok(Self { tokens, ..Self::default() });
+            return Ok(Self { tokens, keys, ..Self::default() });
         }
         let verifier = verifier(files, tls)?;
         let of_certificate = |reason: String| failed("tls.certificate", &tls.certificate, reason);
@@ -94,7 +109,7 @@ impl Identified {
             Arc::new(config)
         };
         let configs = Some((with(&[b"h2"]), with(&[b"h2", b"http/1.1"])));
-        Ok(Self { configs, verifier, not_after: Some(not_after), tokens })
+        Ok(Self { configs, verifier, not_after: Some(not_after), tokens, keys })
     }
 
     /// The configuration of a port; none without TLS.

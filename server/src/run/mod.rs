@@ -194,6 +194,7 @@ impl Server {
         let quarantine = background.spawn(quarantine::tell(shared.clone()));
         let identities =
             background.spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
+        let keys = background.spawn(identity::keep_keys(shared.gate.clone(), shared.metrics.clone()));
         let mut grpc = port.spawn(grpc::serve(grpc, shared.clone(), ending.subscribe()));
         let mut http = background.spawn(http::serve(http, shared.clone(), ending.subscribe()));
         tokio::select! {
@@ -206,6 +207,7 @@ impl Server {
         retention.abort();
         quarantine.abort();
         identities.abort();
+        keys.abort();
         // An aborted task may still be in its last step: it must not call the service ready again.
         let _ = follower.await;
         shared.health.not_ready("draining");

@@ -1,6 +1,7 @@
 //! Who may do what, on both ports of the real program, over real sockets, with certificates made here.
 //!
 //! - [`authority`]: certificates of all kinds, good and bad.
+//! - [`issuer`]: tokens of all kinds, good and bad.
 //! - [`site`]: a service that asks who calls, and its callers.
 //! - [`calls`]: everything that can be called, and who may.
 
@@ -8,6 +9,7 @@
 
 mod authority;
 mod calls;
+mod issuer;
 mod site;
 
 use std::time::Duration;
@@ -19,17 +21,18 @@ use echofix_tests::{http, town, until_blocking};
 use tonic::Code;
 
 use calls::{Call, ROLES, all, may};
+use issuer::Issuer;
 use site::{Caller, Outcome, Site};
 
-/// Catches: a call that somebody may make who should not, or may not who should, on either port, known by certificate or by
-/// token; and a call that nobody thought of: what the service serves and `calls` does not list fails here.
+/// Catches: a call that somebody may make who should not, or may not who should, on either port, known by certificate, by
+/// token or by an issuer's token; and a call that nobody thought of: what the service serves and `calls` does not list fails here.
 #[tokio::test(flavor = "multi_thread")]
 async fn identity_and_role_decide_every_call() {
     let site = Site::start();
     let calls = all(&site).await;
     let mut told = Vec::new();
     for role in ROLES {
-        for caller in [site.certified(role), site.with_token(role)] {
+        for caller in [site.certified(role), site.with_token(role), site.with_jwt(role)] {
             told.extend(
                 unexpected(&site, &calls, &caller, |call| {
                     if may(role, call) { Outcome::Admitted } else { Outcome::Forbidden }
@@ -49,6 +52,14 @@ async fn identity_and_role_decide_every_call() {
     // A certificate that is good and names no caller, and one whose common name claims to be an operator.
     for caller in [site.certified_as("no name", &[]), site.certified_as("operator", &["https://operator/a"])]
     {
+        told.extend(
+            unexpected(&site, &calls, &caller, |call| {
+                if may("nobody", call) { Outcome::Admitted } else { Outcome::Unauthenticated }
+            })
+            .await,
+        );
+    }
+    for caller in site.bad_jwts() {
         told.extend(
             unexpected(&site, &calls, &caller, |call| {
                 if may("nobody", call) { Outcome::Admitted } else { Outcome::Unauthenticated }
@@ -276,4 +287,52 @@ async fn a_proxy_on_this_machine_tells_who_asks() {
         assert_eq!(site.outcome(&told(wrong), &read).await, Outcome::Unauthenticated, "{wrong}");
     }
     assert_eq!(site.outcome(&Caller::nobody(&site), &read).await, Outcome::Unauthenticated);
+}
+
+/// Catches: a key that was taken back and still signs, a new key that is not fetched, a stream and a session that outlive their
+/// token, and a fetch for each token that somebody makes up.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_issuers_keys_rotate_and_its_tokens_end() {
+    let (mut issuer, next) = (Issuer::new("k1"), Issuer::new("k2"));
+    let address = issuer::Published::start(&issuer.set());
+    let site = Site::of_issuer(&address.url);
+    let read = Call::http("GET", "/api/v1/map");
+    let with = |issuer: &Issuer| Caller::token(&site, "of an issuer", &issuer.token("viewer"));
+    tokio::task::block_in_place(|| {
+        until_blocking("the keys are there", Duration::from_secs(30), || {
+            (with(&issuer).status(&site, "/api/v1/map") == 200).then_some(())
+        });
+    });
+    // Where to sign in, a token that ends soon is as good until then.
+    let short = issuer.signed(&issuer.claims("viewer", 4));
+    let body = format!(r#"{{"token":"{short}"}}"#);
+    let nobody = Caller::nobody(&site);
+    let (status, cookie) = tokio::task::block_in_place(|| nobody.post(&site, "/session", &body, &[]));
+    assert_eq!(status, 200);
+    let browser = Caller::cookie(&site, cookie.split(';').next().unwrap());
+    assert_eq!(site.outcome(&browser, &read).await, Outcome::Admitted);
+    let listener = Caller::token(&site, "a listener", &short);
+    // Ends when the token does; the body of a stream that goes on is never whole.
+    let heard = tokio::task::block_in_place(|| listener.get(&site, "/api/v1/events"));
+    assert!(heard.contains("event: alive"), "{heard}");
+    assert_eq!(site.outcome(&browser, &read).await, Outcome::Unauthenticated);
+    assert_eq!(site.outcome(&listener, &read).await, Outcome::Unauthenticated);
+
+    let before = address.asked();
+    for _ in 0..50 {
+        assert_eq!(site.outcome(&with(&next), &read).await, Outcome::Unauthenticated, "not published");
+    }
+    address.publish(&next.set());
+    tokio::task::block_in_place(|| {
+        until_blocking("the new key is fetched", Duration::from_secs(60), || {
+            (with(&next).status(&site, "/api/v1/map") == 200).then_some(())
+        });
+    });
+    assert!(address.asked() - before <= 20, "asked {} times", address.asked() - before);
+    assert_eq!(site.outcome(&with(&issuer), &read).await, Outcome::Unauthenticated, "taken back");
+    // The same id, another key.
+    issuer.name("k2");
+    assert_eq!(site.outcome(&with(&issuer), &read).await, Outcome::Unauthenticated);
+    address.publish("<html>");
+    assert_eq!(site.outcome(&with(&next), &read).await, Outcome::Admitted, "the last good keys count");
 }

@@ -21,6 +21,7 @@ use tonic_prost::ProstCodec;
 
 use super::authority::{Authority, Certified};
 use super::calls::{Call, ROLES};
+use super::issuer::Issuer;
 
 /// A busy machine takes its time.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -42,6 +43,7 @@ pub enum Outcome {
 pub struct Site {
     folder: TempDir,
     authority: Authority,
+    issuer: Issuer,
     /// Roles' tokens.
     tokens: Vec<(&'static str, String)>,
     certified: Vec<(&'static str, Certified)>,
@@ -74,6 +76,8 @@ impl Site {
         write("server.key", &service.key);
         write("ca.pem", authority.pem());
         write("crl.pem", &authority.revoked(&[99]));
+        let issuer = Issuer::new("k1");
+        write("jwks.json", &issuer.set());
         let token = |role: &'static str| {
             let name = format!("{role}-1");
             (role, tokens::create(&first.join("tokens"), role.parse().unwrap(), &name).unwrap())
@@ -85,7 +89,7 @@ impl Site {
         let certified = ROLES.into_iter().zip(10..).map(certify).collect();
         symlink("v1", folder.path().join("current")).unwrap();
         let at = |name: &str| folder.path().join("current").join(name).display().to_string();
-        let settings = vec![
+        let mut settings = vec![
             format!("tls.certificate={}", at("server.pem")),
             format!("tls.key={}", at("server.key")),
             format!("tls.client_ca={}", at("ca.pem")),
@@ -93,8 +97,9 @@ impl Site {
             format!("identity.tokens={}", at("tokens")),
             "tls.reload_s=1".to_owned(),
         ];
+        settings.extend(Issuer::settings(&at("jwks.json")));
         let ca = first.join("ca.pem");
-        Self { tokens, certified, ..Self::launch(folder, authority, settings, ca, "https") }
+        Self { issuer, tokens, certified, ..Self::launch(folder, authority, settings, ca, "https") }
     }
 
     /// A service with the configuration that the command printed.
@@ -108,6 +113,12 @@ impl Site {
     /// A service that takes a header's word, unencrypted.
     pub fn behind_a_proxy(header: &str) -> Self {
         let settings = vec![format!("identity.proxy_header={header}")];
+        Self::launch(tempfile::tempdir().unwrap(), Authority::new(), settings, PathBuf::new(), "http")
+    }
+
+    /// A service that believes the keys at an address, unencrypted.
+    pub fn of_issuer(url: &str) -> Self {
+        let settings = Issuer::settings(url);
         Self::launch(tempfile::tempdir().unwrap(), Authority::new(), settings, PathBuf::new(), "http")
     }
 
@@ -136,6 +147,7 @@ impl Site {
         let site = Self {
             folder,
             authority,
+            issuer: Issuer::new("none"),
             tokens: Vec::new(),
             certified: Vec::new(),
             revoked: Mutex::new(vec![99]),
@@ -194,6 +206,19 @@ impl Site {
     /// Who brings the token of a role.
     pub fn with_token(&self, role: &str) -> Caller {
         Caller::token(self, &format!("token of {role}"), &self.token(role))
+    }
+
+    /// Who brings an issuer's token that stands for a role.
+    pub fn with_jwt(&self, role: &str) -> Caller {
+        // Every other one by the other algorithm.
+        let token = if role.len() % 2 == 0 { self.issuer.token(role) } else { self.issuer.other_token(role) };
+        Caller::token(self, &format!("issuer's token of {role}"), &token)
+    }
+
+    /// Who brings an issuer's token that is no good.
+    pub fn bad_jwts(&self) -> Vec<Caller> {
+        let bad = self.issuer.bad_tokens().into_iter();
+        bad.map(|(who, token)| Caller::token(self, &format!("issuer's token: {who}"), &token)).collect()
     }
 
     /// The token of a role.
@@ -332,6 +357,10 @@ impl Caller {
     pub fn get(&self, site: &Site, path: &str) -> String {
         let mut answer = self.send(site, "GET", path, "", &[]).unwrap();
         answer.body_mut().read_to_string().unwrap()
+    }
+
+    pub fn status(&self, site: &Site, path: &str) -> u16 {
+        self.send(site, "GET", path, "", &[]).unwrap().status().as_u16()
     }
 
     /// Status and the cookie that was set.
