@@ -27,6 +27,8 @@
 mod access;
 mod catalog;
 mod console;
+#[cfg(test)]
+mod contract;
 mod contributor;
 mod cors;
 mod day;
