@@ -1,7 +1,7 @@
 //! What programs may rely on: the shape of every answer in JSON, held against `contract.json` and against the description
 //! that is served.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use axum::http::Method;
@@ -14,8 +14,12 @@ use serde_json::{Value, json};
 use tokio_stream::StreamExt;
 
 use super::contributor::hash_word;
+use super::openapi::DOCUMENT;
 use super::testing::{StoredSite, TestSite, a_fix, an_upload, austin, bytes_of, json_of};
 use crate::store::QuarantinedRecord;
+
+/// Under which words a schema is made of others.
+const PARTS: [&str; 3] = ["allOf", "oneOf", "anyOf"];
 
 /// Answers by the operation that gives them, `METHOD route`, and what is special about each.
 type Answers = BTreeMap<(&'static str, &'static str), Value>;
@@ -109,15 +113,22 @@ async fn of_decisions(answers: &mut Answers) {
     for (operation, special, body) in [
         ("POST /api/v1/map/rollback", "dry run", json!({ "epoch": 4, "dry_run": true })),
         ("POST /api/v1/map/rollback", "", json!({ "epoch": 4, "reason": "a shifted street" })),
-        ("POST /api/v1/map/undo", "", json!({ "decision": 8 })),
         ("POST /api/v1/map/revoke", "", json!({ "upload": upload })),
         ("POST /api/v1/map/revoke", "again", json!({ "upload": upload })),
-        ("POST /api/v1/map/revoke", "contributor", json!({ "contributor_hash": hash_word(site.uploads[2].pass.contributor) })),
+        (
+            "POST /api/v1/map/revoke",
+            "contributor",
+            json!({ "contributor_hash": hash_word(site.uploads[2].pass.contributor) }),
+        ),
     ] {
         let answer = site.post(operation.trim_start_matches("POST "), &body).await;
         answers.insert((operation, special), json_of(answer).await);
         site.caught_up().await;
     }
+    let decision = &answers[&("POST /api/v1/map/rollback", "")]["epoch"];
+    let undone = site.post("/api/v1/map/undo", &json!({ "decision": decision })).await;
+    answers.insert(("POST /api/v1/map/undo", ""), json_of(undone).await);
+    site.caught_up().await;
     for (operation, path) in [
         ("GET /api/v1/map/history", "/api/v1/map/history"),
         ("GET /api/v1/map/diff", "/api/v1/map/diff?from=6&to=8"),
@@ -178,4 +189,90 @@ async fn answers_have_the_shape_that_programs_know() {
         std::fs::write(&path, &written).unwrap();
     }
     assert_eq!(written, std::fs::read_to_string(path).unwrap(), "is the change of the answers meant?");
+}
+
+/// Forbids in a schema whatever it does not name; of one that is a part of another, in what lies within it only.
+fn close(schema: &mut Value, is_whole: bool) {
+    let Value::Object(fields) = schema else {
+        return schema.as_array_mut().into_iter().flatten().for_each(|item| close(item, true));
+    };
+    let mut names_properties = fields.contains_key("properties");
+    for (name, inner) in fields.iter_mut() {
+        if PARTS.contains(&name.as_str()) {
+            names_properties = true;
+            inner.as_array_mut().into_iter().flatten().for_each(|part| close(part, false));
+        } else {
+            close(inner, true);
+        }
+    }
+    if is_whole && names_properties {
+        fields.insert("unevaluatedProperties".to_owned(), false.into());
+    }
+}
+
+/// The names of all schemas that are parts of others.
+fn parts(value: &Value, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Array(items) => items.iter().for_each(|item| parts(item, found)),
+        Value::Object(fields) => {
+            for of in PARTS {
+                let named = fields.get(of).and_then(Value::as_array).into_iter().flatten();
+                let named = named.filter_map(|part| part["$ref"].as_str()?.rsplit_once('/'));
+                found.extend(named.map(|(_, name)| name.to_owned()));
+            }
+            fields.values().for_each(|field| parts(field, found));
+        }
+        _ => {}
+    }
+}
+
+/// The document as a schema that knows no other properties than those that are described.
+fn closed() -> Value {
+    let mut document: Value = serde_json::from_str(&DOCUMENT).unwrap();
+    let mut joined = BTreeSet::new();
+    parts(&document, &mut joined);
+    for (name, schema) in document["components"]["schemas"].as_object_mut().unwrap() {
+        close(schema, !joined.contains(name));
+    }
+    document
+}
+
+fn validated(document: &Value, pointer: &str, answer: &Value) -> Vec<String> {
+    let mut schema = document.clone();
+    schema["$ref"] = format!("#{pointer}").into();
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    validator.iter_errors(answer).map(|error| format!("{}: {error}", error.instance_path())).collect()
+}
+
+/// Catches: a description that says something else than what is answered: a field that it lacks or that the answer lacks, another
+/// kind of value, or a null that it does not allow.
+#[tokio::test]
+async fn answers_are_as_described() {
+    let document = closed();
+    let answers = answers().await;
+    for ((operation, special), answer) in &answers {
+        let (method, route) = operation.split_once(' ').unwrap();
+        let path = if *route == *"/tiles/{layer}" { "/tiles/{layer}.json" } else { route };
+        let path = path.replace('~', "~0").replace('/', "~1").replace('{', "%7B").replace('}', "%7D");
+        let status = if *special == "error" { "default" } else { "200" };
+        let media = "content/application~1json/schema";
+        let pointer = match *special {
+            "map" => "/components/schemas/Progress".to_owned(),
+            "health" => "/components/schemas/Readiness".to_owned(),
+            "missed" => "/components/schemas/Missed".to_owned(),
+            _ => format!("/paths/{path}/{}/responses/{status}/{media}", method.to_lowercase()),
+        };
+        assert_eq!(
+            validated(&document, &pointer, answer),
+            Vec::<String>::new(),
+            "{operation} {special}: {answer}"
+        );
+    }
+    // The check itself: what is not described is found.
+    let mut other = answers[&("GET /api/v1/map", "")].clone();
+    other["totals"]["colour"] = "red".into();
+    assert!(!validated(&document, "/components/schemas/Map", &other).is_empty());
+    other["totals"] = json!({});
+    assert!(!validated(&document, "/components/schemas/Map", &other).is_empty());
 }
