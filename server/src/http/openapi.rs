@@ -233,14 +233,8 @@ mod tests {
     #[test]
     fn every_operation_says_all_that_a_client_needs() {
         let document = parsed();
-        let tags: BTreeSet<_> = document["tags"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|tag| &tag["name"])
-            .cloned()
-            .map(|n| n.to_string())
-            .collect();
+        let tags: BTreeSet<_> =
+            document["tags"].as_array().unwrap().iter().map(|tag| tag["name"].to_string()).collect();
         let mut ids = BTreeSet::new();
         for (method, path, operation) in operations(&document) {
             let here = format!("{method} {path}");

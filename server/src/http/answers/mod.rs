@@ -1,4 +1,4 @@
-//! What the operators' port answers in JSON, as types. The OpenAPI document is made from them.
+//! What the operators' port answers in JSON, as types. The `OpenAPI` document is made from them.
 //!
 //! - `map`: the map and its tiles in numbers.
 //! - `history`: what happened to the map, how two maps differ, what was decided.
