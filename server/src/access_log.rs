@@ -13,10 +13,11 @@ use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tonic::Code;
 use tower::{Layer, Service};
 
+use crate::export;
 use crate::identity::Roles;
 use crate::port::Port;
 use crate::rpc_code::word;
-use crate::trace::{REQUEST_ID, usual_method};
+use crate::trace::{CallSpan, REQUEST_ID, usual_method};
 
 /// The target of these lines, as the log's filter names it.
 pub const TARGET: &str = "access";
@@ -29,6 +30,9 @@ pub struct NotedRoles(Arc<OnceLock<Roles>>);
 impl NotedRoles {
     /// Notes it for a request that is told of.
     pub fn note<B>(request: &Request<B>, roles: Roles) {
+        if let Some(CallSpan(span)) = request.extensions().get() {
+            export::note(span, "echofix.role", roles.to_string());
+        }
         if let Some(Self(noted)) = request.extensions().get() {
             // It is found out once.
             let _ = noted.set(roles);

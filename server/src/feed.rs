@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
+use utoipa::ToSchema;
 
 use crate::event_log::EventLog;
 
@@ -13,7 +14,8 @@ use crate::event_log::EventLog;
 const RECENT: usize = 500;
 
 /// An answer to a localization request.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, ToSchema)]
+#[schema(as = Fix)]
 pub struct FixEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
@@ -36,13 +38,15 @@ pub struct FixEvent {
     /// Fraction of the batch that lies on mapped structure, 0 to 1.
     pub matched_fraction: f64,
     /// Horizontal protection level, metres; absent when not valid.
+    #[schema(required)]
     pub protection_m: Option<f64>,
     /// Milliseconds spent aligning.
     pub align_ms: f64,
 }
 
 /// An upload that was counted or refused.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, ToSchema)]
+#[schema(as = Upload)]
 pub struct UploadEvent {
     /// Microseconds since the Unix epoch at which the service answered.
     pub answered_us: i64,
@@ -62,24 +66,52 @@ pub struct UploadEvent {
 }
 
 /// An upload that vetting kept out of the map.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, ToSchema)]
+#[schema(as = QuarantinedUpload)]
 pub struct QuarantineEvent {
     /// Its epoch: the one that the upload was told.
     pub epoch: u64,
     /// The id that the contributor chose; absent once it is compacted.
+    #[schema(required, format = "uuid")]
     pub upload_id: Option<String>,
     /// Keyed hash of the contributor's pseudonym, 16 hexadecimal digits. It can be revoked by it.
     pub contributor: String,
     /// `SHIFTED`, `ROTATED` or `DISAGREES`.
+    #[schema(example = "SHIFTED")]
     pub reason: &'static str,
     /// UTC date of the drive.
+    #[schema(format = Date)]
     pub date: String,
-    /// Where it lies: `lat` and `lon`, degrees.
-    pub place: serde_json::Value,
-    /// By how much it lies beside the map: `east_m`, `north_m`, `yaw_deg`; absent when it shows something else.
-    pub offset: Option<serde_json::Value>,
+    /// Where it lies; null where its zone does not reach.
+    #[schema(required)]
+    pub place: Option<Place>,
+    /// What would move it onto the map; null when it shows something else.
+    #[schema(required)]
+    pub offset: Option<MapOffset>,
     /// How far it lies beside the map, metres, where that could be measured.
+    #[schema(required)]
     pub offset_m: Option<f64>,
+}
+
+/// A position, WGS-84.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct Place {
+    /// Degrees north.
+    pub lat: f64,
+    /// Degrees east.
+    pub lon: f64,
+}
+
+/// What would move an upload onto the map.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+#[schema(as = Offset)]
+pub struct MapOffset {
+    /// Metres east on the grid.
+    pub east_m: f64,
+    /// Metres north on the grid.
+    pub north_m: f64,
+    /// Degrees, counter-clockwise.
+    pub yaw_deg: f64,
 }
 
 /// The last fixes and the last uploads.
@@ -195,7 +227,7 @@ mod tests {
             contributor: "00000000000000ff".to_owned(),
             reason: "SHIFTED",
             date: "2026-01-01".to_owned(),
-            place: serde_json::Value::Null,
+            place: None,
             offset: None,
             offset_m: Some(1.5),
         };

@@ -21,12 +21,14 @@
 //! - [`feed`]: the last fixes and uploads, for operators to watch; in memory only.
 //! - [`health`]: is the service alive, is it ready, and if not, why.
 //! - [`metrics`]: what the service counts.
+//! - [`export`]: the spans of calls, to a collector.
 //! - [`trace`]: an id and a span for every request, in every log line that belongs to it.
 
 pub mod access_log;
 pub mod args;
 pub mod config;
 pub mod event_log;
+pub mod export;
 pub mod feed;
 pub mod grpc;
 pub mod health;

@@ -48,8 +48,14 @@ fn run() -> Result<(), Box<dyn Error>> {
     if let Some(text) = args.serve.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
-    log::init(&config.log)?;
+    let exporting = {
+        let _within = runtime.enter();
+        log::init(&config.log, &config.trace)?
+    };
     let served = runtime.block_on(run::serve(config, COMMIT, args.serve.addr_file.as_deref(), ended));
+    if let Some(exporting) = exporting {
+        exporting.end();
+    }
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

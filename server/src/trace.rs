@@ -13,6 +13,7 @@ use tower::{Layer, Service};
 use tracing::{Instrument, Span};
 use uuid::Uuid;
 
+use crate::export;
 use crate::port::Port;
 
 /// The header, and the gRPC metadata, that names a request.
@@ -57,6 +58,10 @@ impl Port {
 pub(crate) fn usual_method(method: &Method) -> Option<&'static str> {
     ["GET", "HEAD", "POST", "DELETE", "OPTIONS"].into_iter().find(|usual| method == usual)
 }
+
+/// The span of a call, for those who find out something about it.
+#[derive(Debug, Clone)]
+pub(crate) struct CallSpan(pub(crate) Span);
 
 /// Gives every request of a port its id and its span.
 #[derive(Debug, Clone, Copy)]
@@ -111,9 +116,19 @@ where
             Port::Grpc => tracing::info_span!("rpc", call, request_id = text),
             Port::Http => tracing::info_span!("http", call, request_id = text),
         };
+        export::continue_trace(&span, request.headers());
+        let method = (self.port == Port::Http).then(|| usual_method(request.method())).flatten();
+        export::note(&span, "http.request.method", method.unwrap_or("POST").to_owned());
+        let mut request = request;
+        request.extensions_mut().insert(CallSpan(span.clone()));
         let answer = span.in_scope(|| self.inner.call(request)).instrument(span.clone());
+        let port = self.port;
         Box::pin(async move {
             let mut response = answer.await?;
+            export::note(&span, "http.response.status_code", response.status().as_str().to_owned());
+            if port == Port::Http && response.status().is_server_error() {
+                export::failed(&span, "server error");
+            }
             response.headers_mut().insert(REQUEST_ID, id);
             Ok(response)
         })

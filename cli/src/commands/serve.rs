@@ -35,7 +35,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(text) = args.instead_of_serving(&config)? {
         return Ok(std::io::stdout().write_all(text.as_bytes())?);
     }
-    log::init(&config.log)?;
+    let exporting = {
+        let _within = runtime.enter();
+        log::init(&config.log, &config.trace)?
+    };
     let ended = async {
         tokio::select! {
             () = signalled => {}
@@ -48,6 +51,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.addr_file.as_deref(),
         ended,
     ));
+    if let Some(exporting) = exporting {
+        exporting.end();
+    }
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

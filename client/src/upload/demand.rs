@@ -1,6 +1,7 @@
 //! What the service said of which places are wanted, on which days.
 
 use std::collections::HashMap;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::{fs, io};
@@ -116,7 +117,7 @@ impl Demand {
         lines.sort_unstable();
         let mut text = format!("{HEAD}\n");
         for (id, day) in lines {
-            text.push_str(&format!("{} {} {} {day}\n", id.zone.epsg(), id.x, id.y));
+            let _ = writeln!(text, "{} {} {} {day}", id.zone.epsg(), id.x, id.y);
         }
         let dir = self.path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
         write_durably(dir, &self.path, text.as_bytes())

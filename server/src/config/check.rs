@@ -2,7 +2,7 @@
 
 use tracing_subscriber::EnvFilter;
 
-use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
+use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig, TraceConfig};
 use crate::grpc::INTEGRITY_RISKS;
 use crate::http::{is_base_path, is_origin};
 use crate::identity::{self, RatesConfig};
@@ -29,6 +29,7 @@ impl Config {
             alarms(&self.alarms),
             rates(self.rates),
             together(self),
+            trace(&self.trace),
         ];
         if let Some((key, _, rule)) = sections.iter().flatten().find(|(_, holds, _)| !holds) {
             return Err(Error::OutOfRange { key, rule });
@@ -61,6 +62,19 @@ fn is_sane(directive: &str) -> bool {
 
 fn within(value: f64, most: f64) -> bool {
     value > 0.0 && value <= most
+}
+
+fn trace(config: &TraceConfig) -> Vec<Rule> {
+    let endpoint = config.endpoint();
+    let address = endpoint.strip_prefix("http://").map(|rest| rest.trim_end_matches('/'));
+    let sound =
+        endpoint.is_empty() || address.is_some_and(|a| a.parse::<axum::http::uri::Authority>().is_ok());
+    vec![(
+        "trace.otlp_endpoint",
+        sound,
+        "be empty or as http://collector:4317 (also from OTEL_EXPORTER_OTLP_ENDPOINT); for https, send to a collector beside the \
+         service",
+    )]
 }
 
 fn ports(config: &Config) -> Vec<Rule> {

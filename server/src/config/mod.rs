@@ -100,6 +100,8 @@ pub struct Config {
     pub limits: LimitsConfig,
     /// When operators are alarmed.
     pub alarms: AlarmsConfig,
+    /// Where spans of calls are sent.
+    pub trace: TraceConfig,
     /// What is written to standard error.
     pub log: LogConfig,
 }
@@ -313,6 +315,25 @@ impl LimitsConfig {
     #[must_use]
     pub fn handshake(&self) -> Duration {
         Duration::from_secs(self.handshake_s)
+    }
+}
+
+/// Where spans of calls are sent.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TraceConfig {
+    /// A collector that takes OTLP over gRPC, `http://` and its address; empty: what the environment names.
+    pub otlp_endpoint: String,
+}
+
+impl TraceConfig {
+    /// The collector; empty without one.
+    #[must_use]
+    pub fn endpoint(&self) -> String {
+        if self.otlp_endpoint.is_empty() {
+            return std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").unwrap_or_default();
+        }
+        self.otlp_endpoint.clone()
     }
 }
 

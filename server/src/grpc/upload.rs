@@ -22,6 +22,7 @@ use uuid::Uuid;
 use super::access::Counted;
 use super::invalid_field::InvalidField;
 use super::{blocking, core_tile_id, now_us, status, tile_id};
+use crate::export::part;
 use crate::feed::{Feed, UploadEvent};
 use crate::lanes::Lanes;
 use crate::mapping::MappingConfig;
@@ -123,7 +124,8 @@ impl MappingApi {
         let pass = Pass { day, contributor: self.store.contributor(&contributor) };
         let (contribution, answer) = (contributed.delta, response.encode_to_vec());
         let declared = Some(contributed.sigma);
-        match self.store.commit(UploadRecord { id, pass, forget_before, declared, contribution, answer })? {
+        let record = UploadRecord { id, pass, forget_before, declared, contribution, answer };
+        match part!("journal").in_scope(|| self.store.commit(record))? {
             Receipt::Counted { epoch } => {
                 tracing::debug!(epoch, "upload counted");
                 Ok(UploadResponse { epoch, ..response })

@@ -8,75 +8,114 @@ use axum::extract::{Path, Query, State};
 use axum::response::Response;
 use echofix_core::geo::{Grid, LatLon, TILE_M, TileId};
 use serde::Deserialize;
-use serde_json::{Value, json};
 
 use super::App;
+use super::answers::{
+    BuildingAnswer, ErrorAnswer, MapAnswer, PassCount, ProgressAnswer, TileAnswer, TotalsAnswer,
+    WaitingAnswer, ZoneAnswer,
+};
 use super::day::iso_date;
 use super::error::Error;
+use super::openapi::BUSY;
 use super::operations::fresh;
-use super::past::{EpochParameter, Shown};
+use super::past::{EpochParameter, EpochQuery, Shown};
 use super::raster::corners;
 use crate::shares::Peer;
 use crate::store::{MapProgress, MapStatus, MapStore, StoredTile};
 
 /// `GET /api/v1/map`
+#[utoipa::path(
+    get,
+    path = "/api/v1/map",
+    operation_id = "getMap",
+    tag = "map",
+    summary = "The whole map in numbers.",
+    description = "",
+    params(EpochQuery),
+    responses(
+        (status = 200, description = "The map.", body = MapAnswer),
+        (status = 400, description = "Not an epoch.", body = ErrorAnswer),
+        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn map(State(app): State<Arc<App>>, peer: Peer, epoch: EpochParameter) -> Result<Response, Error> {
     let Shown { store, artist } = app.shown(peer, epoch).await?;
     let body = app.limiter.work(peer, move || {
-        let overview = artist.overview()?;
-        let (mut body, totals) = (progress_json(&store.progress().borrow()), store.totals());
+        let (overview, totals) = (artist.overview()?, store.totals());
         let zones = overview.zones.iter().map(|(zone, tiles)| {
             let hemisphere = if zone.is_south() { "south" } else { "north" };
-            json!({ "epsg": zone.epsg(), "name": format!("UTM {} {hemisphere}", zone.number()), "tiles": tiles })
+            ZoneAnswer {
+                epsg: zone.epsg(),
+                name: format!("UTM {} {hemisphere}", zone.number()),
+                tiles: *tiles,
+            }
         });
-        body["zones"] = zones.collect();
-        body["bounds"] = json!(overview.bounds());
-        body["center"] = json!(overview.center());
-        body["totals"] = json!({
-            "tiles": totals.tiles,
-            "cells": totals.cells,
-            "bytes": totals.bytes,
-            "uploads": totals.uploads,
-            "area_km2": totals.tiles as f64 * TILE_M * TILE_M / 1e6,
-            "newest_day": totals.newest_day,
-            "newest_date": (totals.tiles > 0).then(|| iso_date(totals.newest_day)),
-        });
-        body["waiting"] = json!({
-            "tiles": totals.waiting_tiles,
-            "contributors": totals.waiting_contributors,
-            "needed": totals.needed,
-        });
-        Ok(body)
+        Ok(MapAnswer {
+            progress: progress_answer(&store.progress().borrow()),
+            zones: zones.collect(),
+            bounds: overview.bounds(),
+            center: overview.center(),
+            totals: TotalsAnswer {
+                tiles: totals.tiles,
+                cells: totals.cells,
+                bytes: totals.bytes,
+                uploads: totals.uploads,
+                area_km2: totals.tiles as f64 * TILE_M * TILE_M / 1e6,
+                newest_day: totals.newest_day,
+                newest_date: (totals.tiles > 0).then(|| iso_date(totals.newest_day)),
+            },
+            waiting: WaitingAnswer {
+                tiles: totals.waiting_tiles,
+                contributors: totals.waiting_contributors,
+                needed: totals.needed,
+            },
+        })
     });
     Ok(fresh(body.await?))
 }
 
-/// How far the map is, as JSON.
-pub fn progress_json(progress: &MapProgress) -> Value {
+/// How far the map is.
+pub fn progress_answer(progress: &MapProgress) -> ProgressAnswer {
     let state = match progress.state {
         MapStatus::Rebuilding => "rebuilding",
         MapStatus::Serving => "serving",
         MapStatus::Stalled => "stalled",
     };
-    let building = progress
-        .building
-        .map(|building| json!({ "folded": building.folded, "of": building.of, "control": building.control }));
-    json!({
-        "state": state,
-        "epoch": progress.epoch,
-        "journaled": progress.journaled,
-        "building": building,
-    })
+    let building = progress.building.map(|building| BuildingAnswer {
+        folded: building.folded,
+        of: building.of,
+        control: building.control,
+    });
+    ProgressAnswer { state, epoch: progress.epoch, journaled: progress.journaled, building }
 }
 
 /// `?lat=&lon=`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct PositionQuery {
+    /// Degrees north, WGS-84.
     lat: f64,
+    /// Degrees east, WGS-84.
     lon: f64,
 }
 
 /// `GET /api/v1/tiles/at?lat=&lon=`
+#[utoipa::path(
+    get,
+    path = "/api/v1/tiles/at",
+    operation_id = "getTileAt",
+    tag = "tiles",
+    summary = "The tile that holds a position, in numbers.",
+    description = "",
+    params(PositionQuery, EpochQuery),
+    responses(
+        (status = 200, description = "The tile.", body = TileAnswer),
+        (status = 400, description = "Not a position in UTM.", body = ErrorAnswer),
+        (status = 404, description = "Nothing is served there.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn tile_at(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -91,6 +130,26 @@ pub async fn tile_at(
 }
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}`
+#[utoipa::path(
+    get,
+    path = "/api/v1/tiles/{epsg}/{x}/{y}",
+    operation_id = "getTile",
+    tag = "tiles",
+    summary = "One tile in numbers.",
+    description = "",
+    params(
+        ("epsg" = u16, Path, description = "EPSG code of the UTM zone: 32601 to 32660 north, 32701 to 32760 south."),
+        ("x" = i32, Path, description = "Tiles of 51.2 m east."),
+        ("y" = i32, Path, description = "Tiles of 51.2 m north."),
+        EpochQuery,
+    ),
+    responses(
+        (status = 200, description = "The tile.", body = TileAnswer),
+        (status = 400, description = "Not a tile's name.", body = ErrorAnswer),
+        (status = 404, description = "Nothing is served there.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn tile(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -105,7 +164,7 @@ async fn described(app: &Arc<App>, peer: Peer, id: TileId, epoch: EpochParameter
     Ok(fresh(app.limiter.work(peer, move || describe(&*store, id)).await?))
 }
 
-fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
+fn describe(store: &dyn MapStore, id: TileId) -> Result<TileAnswer, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id}"));
     let stored = store.tile(id)?.ok_or_else(nothing)?;
     let StoredTile { version, tile, .. } = &stored;
@@ -117,23 +176,22 @@ fn describe(store: &dyn MapStore, id: TileId) -> Result<Value, Error> {
         hits += u64::from(cell.hits);
         oldest_day = oldest_day.min(cell.first_day);
     }
-    let passes: Vec<_> =
-        passes.iter().map(|(passes, cells)| json!({ "passes": passes, "cells": cells })).collect();
-    Ok(json!({
-        "id": id.to_string(),
-        "epsg": id.zone.epsg(),
-        "x": id.x,
-        "y": id.y,
-        "version": version,
-        "cells": tile.len(),
-        "hits": hits,
-        "passes": passes,
-        "oldest_date": (!tile.is_empty()).then(|| iso_date(oldest_day)),
-        "newest_day": tile.newest_day(),
-        "newest_date": (!tile.is_empty()).then(|| iso_date(tile.newest_day())),
-        "bytes": stored.encoded().len(),
-        "corners": corners.map(|at| [at.lon_deg, at.lat_deg]),
-    }))
+    let passes = passes.into_iter().map(|(passes, cells)| PassCount { passes, cells }).collect();
+    Ok(TileAnswer {
+        id: id.to_string(),
+        epsg: id.zone.epsg(),
+        x: id.x,
+        y: id.y,
+        version: *version,
+        cells: tile.len(),
+        hits,
+        passes,
+        oldest_date: (!tile.is_empty()).then(|| iso_date(oldest_day)),
+        newest_day: tile.newest_day(),
+        newest_date: (!tile.is_empty()).then(|| iso_date(tile.newest_day())),
+        bytes: stored.encoded().len(),
+        corners: corners.map(|at| [at.lon_deg, at.lat_deg]),
+    })
 }
 
 #[cfg(test)]

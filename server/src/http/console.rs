@@ -7,6 +7,7 @@ use axum::extract::{Extension, Path};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 
+use super::answers::ErrorAnswer;
 use super::error::Error;
 use super::outside::Outside;
 
@@ -42,6 +43,17 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; wo
 
 /// `GET /`. All that the page names is relative to it; where it is known under which path a proxy shows it, that is said, too:
 /// the browser may have asked for it without the slash at the end.
+#[utoipa::path(
+    get,
+    path = "/",
+    operation_id = "getConsole",
+    tag = "console",
+    summary = "The console.",
+    description = "",
+    responses(
+        (status = 200, description = "The page.", body = String, content_type = "text/html"),
+    )
+)]
 pub async fn page(Extension(outside): Extension<Outside>, headers: HeaderMap) -> Result<Response, Error> {
     if outside.prefix.is_empty() {
         return serve("index.html", "no-cache", &headers);
@@ -54,6 +66,19 @@ pub async fn page(Extension(outside): Extension<Outside>, headers: HeaderMap) ->
 }
 
 /// `GET /assets/{name}`: the name holds a hash of the content.
+#[utoipa::path(
+    get,
+    path = "/assets/{name}",
+    operation_id = "getAsset",
+    tag = "console",
+    summary = "A file of the console.",
+    description = "",
+    params(("name" = String, Path, description = "Its name, which holds a hash of the content.")),
+    responses(
+        (status = 200, description = "The file.", body = Vec<u8>, content_type = "*/*"),
+        (status = 404, description = "No such file.", body = ErrorAnswer),
+    )
+)]
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Error> {
     serve(&format!("assets/{name}"), "public, max-age=31536000, immutable", &headers)
 }

@@ -9,30 +9,52 @@ use axum::extract::rejection::JsonRejection;
 use axum::extract::{Extension, State};
 use axum::response::Response;
 use serde::Deserialize;
-use serde_json::json;
+use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::App;
-use super::catalog::progress_json;
+use super::answers::{DecidedAnswer, ErrorAnswer, PreviewAnswer, TakenAndGiven};
+use super::catalog::progress_answer;
 use super::contributor::parse_hash;
 use super::day::parse_date;
 use super::error::Error;
-use super::operations::{audit, decision, diffs_json, fresh, work};
+use super::openapi::BUSY;
+use super::operations::{audit, decision, difference, fresh, work};
 use crate::identity::Caller;
 use crate::shares::Peer;
 use crate::store::{Contributor, LONGEST_REMARK, Preview, Proposal, Remark};
 
 /// What is rolled back to.
-#[derive(Deserialize)]
+#[derive(Deserialize, ToSchema)]
+#[schema(as = Rollback)]
 #[serde(deny_unknown_fields)]
 pub struct RollbackBody {
+    /// The last epoch that counts.
     epoch: u64,
+    /// Why; the journal keeps it and the history tells it. 500 bytes at most.
+    #[schema(max_length = 500)]
     reason: Option<String>,
+    /// Only tell what would change.
     #[serde(default)]
     dry_run: bool,
 }
 
 /// `POST /api/v1/map/rollback`
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/rollback",
+    operation_id = "rollBack",
+    tag = "decisions",
+    summary = "Take back all uploads and imports after an epoch.",
+    description = "",
+    request_body = RollbackBody,
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn rollback(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -44,21 +66,42 @@ pub async fn rollback(
 }
 
 /// What is revoked: one of the first three.
-#[derive(Deserialize)]
+#[derive(Deserialize, ToSchema)]
+#[schema(as = Revoke)]
 #[serde(deny_unknown_fields)]
 pub struct RevokeBody {
     /// A contributor, by its pseudonym.
     contributor: Option<String>,
     /// A contributor, by its keyed hash.
+    #[schema(pattern = "^[0-9a-fA-F]{16}$")]
     contributor_hash: Option<String>,
     /// An upload or an imported file, by its id.
+    #[schema(format = "uuid")]
     upload: Option<String>,
+    /// Why; the journal keeps it and the history tells it. 500 bytes at most.
+    #[schema(max_length = 500)]
     reason: Option<String>,
+    /// Only tell what would change.
     #[serde(default)]
     dry_run: bool,
 }
 
 /// `POST /api/v1/map/revoke`
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/revoke",
+    operation_id = "revoke",
+    tag = "decisions",
+    summary = "Take back what a contributor uploaded so far, or one upload or imported file.",
+    description = "",
+    request_body = RevokeBody,
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 404, description = "There is nothing of it that is not compacted.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn revoke(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -90,17 +133,36 @@ pub async fn revoke(
 }
 
 /// What is undone.
-#[derive(Deserialize)]
+#[derive(Deserialize, ToSchema)]
+#[schema(as = Undo)]
 #[serde(deny_unknown_fields)]
 pub struct UndoBody {
     /// The number of the decision's record: its epoch in the history.
     decision: u64,
+    /// Why; the journal keeps it and the history tells it. 500 bytes at most.
+    #[schema(max_length = 500)]
     reason: Option<String>,
+    /// Only tell what would change.
     #[serde(default)]
     dry_run: bool,
 }
 
 /// `POST /api/v1/map/undo`: a rollback, a revocation or an undoing
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/undo",
+    operation_id = "undo",
+    tag = "decisions",
+    summary = "Undo a rollback, a revocation or an undoing: what it took back counts again.",
+    description = "",
+    request_body = UndoBody,
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 404, description = "No decision that is in effect, or what it took back is compacted.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn undo(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -112,17 +174,36 @@ pub async fn undo(
 }
 
 /// What is compacted.
-#[derive(Deserialize)]
+#[derive(Deserialize, ToSchema)]
+#[schema(as = Compact)]
 #[serde(deny_unknown_fields)]
 pub struct CompactBody {
     /// Uploads that came before this UTC date.
+    #[schema(format = Date)]
     before: String,
+    /// Why; the journal keeps it and the history tells it. 500 bytes at most.
+    #[schema(max_length = 500)]
     reason: Option<String>,
+    /// Only tell what would change.
     #[serde(default)]
     dry_run: bool,
 }
 
-/// `POST /api/v1/map/compact`, formerly `/api/v1/map/settle`
+/// `POST /api/v1/map/compact`
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/compact",
+    operation_id = "compact",
+    tag = "decisions",
+    summary = "Compact what was uploaded before a day: replace its records by a checkpoint. It can no longer be taken back, and nothing remembers who contributed it.",
+    description = "",
+    request_body = CompactBody,
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn compact(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -133,6 +214,30 @@ pub async fn compact(
     let malformed = || Error::BadRequest(format!("`{before}` is no date; write it as 2026-12-31"));
     let day = parse_date(&before).ok_or_else(malformed)?;
     decided(&app, (peer, &caller), Proposal::Compact(day), reason, dry_run).await
+}
+
+/// `POST /api/v1/map/settle`
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/settle",
+    operation_id = "settle",
+    tag = "decisions",
+    summary = "The former name of compacting.",
+    description = "",
+    request_body = CompactBody,
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
+pub async fn settle(
+    app: State<Arc<App>>,
+    peer: Peer,
+    caller: Extension<Arc<Caller>>,
+    body: Result<Json<CompactBody>, JsonRejection>,
+) -> Result<Response, Error> {
+    compact(app, peer, caller, body).await
 }
 
 /// A decision's epoch, absent when there was nothing to decide, and how far the map is; or what it would change.
@@ -147,11 +252,12 @@ async fn decided(
     if reason.as_ref().is_some_and(|reason| reason.len() > LONGEST_REMARK) {
         return Err(Error::BadRequest(format!("the reason is longer than {LONGEST_REMARK} bytes")));
     }
-    let map = || progress_json(&app.state.store.progress().borrow());
+    let map = || progress_answer(&app.state.store.progress().borrow());
     if dry_run {
         let undoable = !matches!(proposal, Proposal::Compact(_));
         let preview = work(app, peer, move |operations| Ok(operations.preview(&proposal)?)).await?;
-        return Ok(fresh(json!({ "dry_run": preview_json(&preview, undoable), "map": map() })));
+        let dry_run = preview_answer(&preview, undoable);
+        return Ok(fresh(DecidedAnswer::Foretold { dry_run, map: map() }));
     }
     let caller = Arc::clone(caller);
     let remark = Remark { by: caller.is_known().then(|| caller.title()), reason };
@@ -162,7 +268,7 @@ async fn decided(
         Ok(epoch)
     });
     let epoch = decided.await?;
-    Ok(fresh(json!({ "epoch": epoch, "map": map() })))
+    Ok(fresh(DecidedAnswer::Taken { epoch, map: map() }))
 }
 
 /// A decision for the log, which names no contributor.
@@ -176,14 +282,15 @@ fn in_words(proposal: &Proposal) -> String {
     }
 }
 
-fn preview_json(preview: &Preview, undoable: bool) -> serde_json::Value {
-    let mut body = diffs_json(&preview.tiles);
-    body["uploads"] = json!({ "taken_back": preview.uploads_out, "given_back": preview.uploads_back });
-    body["imported_tiles"] = json!({ "taken_back": preview.imports_out, "given_back": preview.imports_back });
-    body["contributors"] = preview.contributors.into();
-    body["compacted"] = preview.compacted.into();
-    body["can_be_undone"] = undoable.into();
-    body
+fn preview_answer(preview: &Preview, can_be_undone: bool) -> PreviewAnswer {
+    PreviewAnswer {
+        uploads: TakenAndGiven { taken_back: preview.uploads_out, given_back: preview.uploads_back },
+        imported_tiles: TakenAndGiven { taken_back: preview.imports_out, given_back: preview.imports_back },
+        contributors: preview.contributors,
+        compacted: preview.compacted,
+        can_be_undone,
+        difference: difference(&preview.tiles),
+    }
 }
 
 #[cfg(test)]

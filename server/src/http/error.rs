@@ -6,8 +6,8 @@ use axum::Json;
 use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
 
+use super::answers::{ErrorAnswer, ErrorBody};
 use crate::identity::Refusal;
 use crate::locating::NotAssessed;
 use crate::pace::TooSlow;
@@ -141,7 +141,7 @@ impl IntoResponse for Error {
         {
             tracing::error!(error = %self, left_out, "request failed");
         }
-        let body = Json(json!({ "error": { "code": self.code(), "message": self.to_string() } }));
+        let body = Json(ErrorAnswer { error: ErrorBody { code: self.code(), message: self.to_string() } });
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));

@@ -2,22 +2,41 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::{Path, State};
-use axum::http::header;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use echofix_core::align::localizability::Localizability;
 use echofix_core::geo::{Grid, TILE_M, TileId};
 use echofix_core::pose::{Pose2, wrap_axis};
-use serde_json::{Value, json};
 
 use super::App;
+use super::answers::{ErrorAnswer, ExpectedFixAnswer, LocalizabilityAnswer};
 use super::error::Error;
+use super::openapi::BUSY;
+use super::operations::fresh;
 use crate::locating::{Expectations, SPOTS_PER_SIDE, expected_word};
 use crate::patience::Patience;
 use crate::shares::Peer;
 
 /// `GET /api/v1/tiles/{epsg}/{x}/{y}/localizability`
+#[utoipa::path(
+    get,
+    path = "/api/v1/tiles/{epsg}/{x}/{y}/localizability",
+    operation_id = "getLocalizability",
+    tag = "tiles",
+    summary = "What fixes in a tile can be expected to be, by the map alone.",
+    description = "",
+    params(
+        ("epsg" = u16, Path, description = "EPSG code of the UTM zone: 32601 to 32660 north, 32701 to 32760 south."),
+        ("x" = i32, Path, description = "Tiles of 51.2 m east."),
+        ("y" = i32, Path, description = "Tiles of 51.2 m north."),
+    ),
+    responses(
+        (status = 200, description = "The expectations.", body = LocalizabilityAnswer),
+        (status = 400, description = "Not a tile's name.", body = ErrorAnswer),
+        (status = 404, description = "Nothing is served there and around it.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn tile(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -26,10 +45,14 @@ pub async fn tile(
     let id: TileId = format!("{epsg}/{x}/{y}").parse()?;
     let expectations = Arc::clone(&app.state.expectations);
     let body = app.limiter.attended(peer, move |patience| describe(&expectations, id, patience)).await?;
-    Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
+    Ok(fresh(body))
 }
 
-fn describe(expectations: &Expectations, id: TileId, patience: &Patience) -> Result<Value, Error> {
+fn describe(
+    expectations: &Expectations,
+    id: TileId,
+    patience: &Patience,
+) -> Result<LocalizabilityAnswer, Error> {
     let nothing = || Error::NotFound(format!("nothing is served in tile {id} and around it"));
     let tile = expectations.tile(id, patience)?.ok_or_else(nothing)?;
     let grid = Grid::new(id.zone)?;
@@ -38,21 +61,21 @@ fn describe(expectations: &Expectations, id: TileId, patience: &Patience) -> Res
         let at = id.origin().moved(middle[0], middle[1]);
         let pose = Pose2::new(at.x_m, at.y_m, expected.weak_direction_rad());
         let (at, direction_rad) = grid.pose_to_geodetic(&pose)?;
-        Ok(json!({
-            "longitude_deg": at.lon_deg,
-            "latitude_deg": at.lat_deg,
-            "expected": expected_word(expectations.verdict(expected)),
-            "points": expected.points,
-            "weakest_sigma_m": expected.weakest_m(),
-            "weakest_direction_rad": wrap_axis(direction_rad),
-            "strongest_sigma_m": expected.strongest_m(),
-            "sigma_yaw_rad": expected.sigma_yaw_rad(),
-            "margin": finite(expected),
-            "rival_m": expected.rival.map(|rival| [rival.x_m, rival.y_m]),
-        }))
+        Ok(ExpectedFixAnswer {
+            longitude_deg: at.lon_deg,
+            latitude_deg: at.lat_deg,
+            expected: expected_word(expectations.verdict(expected)),
+            points: expected.points,
+            weakest_sigma_m: expected.weakest_m(),
+            weakest_direction_rad: wrap_axis(direction_rad),
+            strongest_sigma_m: expected.strongest_m(),
+            sigma_yaw_rad: expected.sigma_yaw_rad(),
+            margin: finite(expected),
+            rival_m: expected.rival.map(|rival| [rival.x_m, rival.y_m]),
+        })
     });
-    let spots = spots.collect::<Result<Vec<_>, Error>>()?;
-    Ok(json!({ "id": id.to_string(), "version": tile.version, "places": spots }))
+    let places = spots.collect::<Result<_, Error>>()?;
+    Ok(LocalizabilityAnswer { id: id.to_string(), version: tile.version, places })
 }
 
 /// The margin; JSON knows no infinity, which stands for no rival.

@@ -6,7 +6,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::Json;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Extension, Query, Request, State};
@@ -16,7 +15,6 @@ use bytes::Bytes;
 use echofix_core::geo::{Grid, TileId};
 use echofix_core::time::day_of;
 use serde::Deserialize;
-use serde_json::json;
 use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -25,9 +23,11 @@ use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
 
 use super::App;
+use super::answers::{ErrorAnswer, ImportedAnswer};
 use super::error::Error;
 use super::meridians::Meridians;
-use super::operations::{audit, decision};
+use super::openapi::BUSY;
+use super::operations::{audit, decision, fresh};
 use super::raster::corners;
 use super::region_days::DatedRegion;
 use crate::grpc::now_us;
@@ -48,12 +48,31 @@ const TAKEN: Pace = Pace { stall: Duration::from_secs(30), least_per_s: 64 << 10
 const BINARY: &str = "application/octet-stream";
 
 /// `?box=west,south,east,north`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct ExportQuery {
+    /// West, south, east, north in degrees, separated by commas; across the date line, west is the larger one. All of the
+    /// map without it.
+    #[param(example = "11.5,48.1,11.6,48.2")]
     r#box: Option<String>,
 }
 
 /// `GET /api/v1/map/export?box=`
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/export",
+    operation_id = "exportRegion",
+    tag = "files",
+    summary = "A region's map as one file.",
+    description = "",
+    params(ExportQuery),
+    responses(
+        (status = 200, description = "The file.", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 400, description = "Not a box.", body = ErrorAnswer),
+        (status = 404, description = "There is no map in the box.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn export(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -75,6 +94,18 @@ pub async fn export(
 pub const LAST_BACKUP: &str = "last-backup";
 
 /// `GET /api/v1/map/backup`
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/backup",
+    operation_id = "backUp",
+    tag = "files",
+    summary = "A consistent copy of the store as a tar archive: a backup. It holds the key that contributors are hashed with: treat it as a secret.",
+    description = "",
+    responses(
+        (status = 200, description = "The archive.", body = Vec<u8>, content_type = "application/x-tar"),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn backup(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -95,6 +126,21 @@ pub async fn backup(
 /// `POST /api/v1/map/import`
 ///
 /// The file is received whole before the map hears of it: at its sender's pace it holds no permit but its own.
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/import",
+    operation_id = "importRegion",
+    tag = "files",
+    summary = "Add an exported region to the map. It counts once, by the file's id.",
+    description = "",
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The file, 4 GiB at most."),
+    responses(
+        (status = 200, description = "It is on disk; the map shows it from its epoch on.", body = ImportedAnswer),
+        (status = 400, description = "Not a whole and sound file; nothing of it counts.", body = ErrorAnswer),
+        (status = 408, description = "The file comes too slowly.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn import(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -120,13 +166,12 @@ pub async fn import(
         Ok(imported)
     });
     let imported = imported.await?;
-    let body = json!({
-        "file": imported.file.to_string(),
-        "tiles": imported.tiles,
-        "known": imported.known,
-        "epoch": imported.epoch,
-    });
-    Ok(([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response())
+    Ok(fresh(ImportedAnswer {
+        file: imported.file.to_string(),
+        tiles: imported.tiles,
+        known: imported.known,
+        epoch: imported.epoch,
+    }))
 }
 
 /// A body as a file without a name, which is gone with its last handle.
@@ -265,6 +310,7 @@ fn inside(store: &dyn MapStore, [west, south, east, north]: [f64; 4]) -> Result<
 mod tests {
     use super::*;
     use crate::http::testing::{StoredSite, bytes_of, json_of};
+    use serde_json::json;
 
     #[tokio::test]
     async fn a_region_goes_out_of_one_map_and_into_another() {

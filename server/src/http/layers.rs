@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
 
 use super::App;
+use super::answers::{ErrorAnswer, TileJsonAnswer};
 use super::error::Error;
+use super::openapi::BUSY;
 use super::outside::Outside;
-use super::past::EpochParameter;
+use super::past::{EpochParameter, EpochQuery};
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};
 use crate::shares::Peer;
 
@@ -19,6 +19,29 @@ use crate::shares::Peer;
 const WORLD: [f64; 4] = [-180.0, -85.051_129, 180.0, 85.051_129];
 
 /// `GET /tiles/{layer}/{z}/{x}/{y}.png`, also `{y}@2x.png`
+#[utoipa::path(
+    get,
+    path = "/tiles/{layer}/{z}/{x}/{y}.png",
+    operation_id = "getPicture",
+    tag = "tiles",
+    summary = "A map tile, Web Mercator XYZ, 256 pixels wide (512 as {y}@2x.png); transparent where nothing is known.",
+    description = "",
+    params(
+        ("layer" = String, Path, description = "What to draw.", pattern = "^(evidence|coverage|age|localizability)$", example = "evidence"),
+        ("z" = u8, Path, description = "Zoom.", minimum = 0, maximum = 22),
+        ("x" = u32, Path, description = "Tiles east."),
+        ("y" = String, Path, description = "Tiles south; `@2x` may follow.", pattern = "^[0-9]+(@2x)?$"),
+        ("if-none-match" = Option<String>, Header, description = "Tags of the pictures at hand."),
+        EpochQuery,
+    ),
+    responses(
+        (status = 200, description = "The picture.", body = Vec<u8>, content_type = "image/png", headers(("etag" = String, description = "Names the picture."))),
+        (status = 304, description = "The picture at hand is still right."),
+        (status = 400, description = "Not an address of a tile.", body = ErrorAnswer),
+        (status = 404, description = "No such layer, or no such epoch.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn tile(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -48,6 +71,24 @@ fn is_known(headers: &HeaderMap, tag: &str) -> bool {
 }
 
 /// `GET /tiles/{layer}.json`
+#[utoipa::path(
+    get,
+    path = "/tiles/{layer}.json",
+    operation_id = "getLayer",
+    tag = "tiles",
+    summary = "TileJSON 3.0 of a layer.",
+    description = "",
+    params(
+        ("layer" = String, Path, description = "What to draw.", pattern = "^(evidence|coverage|age|localizability)$", example = "evidence"),
+        EpochQuery,
+    ),
+    responses(
+        (status = 200, description = "The layer.", body = TileJsonAnswer),
+        (status = 400, description = "Not an epoch.", body = ErrorAnswer),
+        (status = 404, description = "No such layer, or no such epoch.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn tilejson(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -61,22 +102,22 @@ pub async fn tilejson(
     let of_epoch = epoch.query().unwrap_or_default();
     let artist = app.shown(peer, epoch).await?.artist;
     let overview = app.limiter.work(peer, move || artist.overview()).await?;
-    let body = json!({
-        "tilejson": "3.0.0",
-        "name": format!("Echofix {layer}"),
-        "description": layer.description(),
-        "version": format!("1.0.{}", overview.epoch),
-        "scheme": "xyz",
-        "tiles": [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", outside.address())],
-        "minzoom": layer.min_zoom(),
-        "maxzoom": MAX_ZOOM,
-        "bounds": overview.bounds().map_or(WORLD, in_one_world),
-        "center": overview.center().map(|[lon, lat]| json!([lon, lat, 16])),
-        "attribution": "Echofix radar map",
-        "vector_layers": [],
-        "legend": legend(layer),
-    });
-    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
+    let body = TileJsonAnswer {
+        tilejson: "3.0.0",
+        name: format!("Echofix {layer}"),
+        description: layer.description(),
+        version: format!("1.0.{}", overview.epoch),
+        scheme: "xyz",
+        tiles: [format!("{}/tiles/{layer}/{{z}}/{{x}}/{{y}}.png{of_epoch}", outside.address())],
+        minzoom: layer.min_zoom(),
+        maxzoom: MAX_ZOOM,
+        bounds: overview.bounds().map_or(WORLD, in_one_world),
+        center: overview.center().map(|[lon, lat]| (lon, lat, 16)),
+        attribution: "Echofix radar map",
+        vector_layers: [],
+        legend: legend(layer),
+    };
+    Ok(([(header::CACHE_CONTROL, "no-cache")], axum::Json(body)).into_response())
 }
 
 /// Bounds as readers of `TileJSON` take them, who know no box across the date line: all around the globe then.
@@ -90,6 +131,7 @@ mod tests {
     use crate::http::testing::{TestSite, austin, json_of, pixels_of};
     use axum::http::Method;
     use echofix_core::geo::{CELL_M, Grid, LatLon, TileId, Zone};
+    use serde_json::json;
     use std::sync::atomic::Ordering;
 
     /// The map tile at a zoom that shows a cell of the Austin tile, and the pixel of its centre.

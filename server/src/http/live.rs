@@ -12,12 +12,13 @@ use axum::http::HeaderMap;
 use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 use tokio::time::{Instant, interval_at};
 use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
+use super::answers::{ErrorAnswer, FixesAnswer, MissedEvent, UploadsAnswer};
 use super::error::Error;
+use super::openapi::BUSY;
 use super::operations::fresh;
 use super::{App, catalog, probes};
 use crate::event_log::{EventLog, NumberedEvent};
@@ -29,8 +30,11 @@ const MAX_LIMIT: usize = 500;
 const ALIVE: Duration = Duration::from_secs(2);
 
 /// `?limit=`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct FeedQuery {
+    /// How many.
+    #[param(minimum = 1, maximum = 500, default = 100)]
     limit: Option<usize>,
 }
 
@@ -45,17 +49,43 @@ impl FeedQuery {
 type FeedParameters = Result<Query<FeedQuery>, QueryRejection>;
 
 /// `GET /api/v1/fixes`, newest first
+#[utoipa::path(
+    get,
+    path = "/api/v1/fixes",
+    operation_id = "getFixes",
+    tag = "feeds",
+    summary = "The last fixes.",
+    description = "",
+    params(FeedQuery),
+    responses(
+        (status = 200, description = "Newest first.", body = FixesAnswer),
+        (status = 400, description = "A bad limit.", body = ErrorAnswer),
+    )
+)]
 pub async fn fixes(State(app): State<Arc<App>>, limit: FeedParameters) -> Result<Response, Error> {
     let mut fixes = app.state.feed.fixes.recent(limit?.get()?);
     fixes.reverse();
-    Ok(fresh(json!({ "fixes": fixes })))
+    Ok(fresh(FixesAnswer { fixes }))
 }
 
 /// `GET /api/v1/uploads`, newest first
+#[utoipa::path(
+    get,
+    path = "/api/v1/uploads",
+    operation_id = "getUploads",
+    tag = "feeds",
+    summary = "The last uploads.",
+    description = "",
+    params(FeedQuery),
+    responses(
+        (status = 200, description = "Newest first.", body = UploadsAnswer),
+        (status = 400, description = "A bad limit.", body = ErrorAnswer),
+    )
+)]
 pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Result<Response, Error> {
     let mut uploads = app.state.feed.uploads.recent(limit?.get()?);
     uploads.reverse();
-    Ok(fresh(json!({ "uploads": uploads })))
+    Ok(fresh(UploadsAnswer { uploads }))
 }
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only
@@ -63,6 +93,21 @@ pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Resu
 ///
 /// Every event has an id: that of the last thing that happened before it or with it. A listener that names one as
 /// `Last-Event-ID` is told what happened since, or that it cannot be told.
+#[utoipa::path(
+    get,
+    path = "/api/v1/events",
+    operation_id = "listen",
+    tag = "feeds",
+    summary = "What happens from now on, as server-sent events.",
+    description = "Events: `fix` (Fix, for operators), `upload` (Upload), `quarantine` (QuarantinedUpload), `map` (Progress), \
+        `health` (Readiness), `alive` every two seconds, and `missed` (Missed) for a listener that cannot be told all. `map` and \
+        `health` also come with the present state first. Every event has an id.",
+    params(("last-event-id" = Option<String>, Header, description = "The last event that was heard: what happened since is told first.")),
+    responses(
+        (status = 200, description = "The stream, without an end.", body = String, content_type = "text/event-stream"),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn events(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -73,10 +118,10 @@ pub async fn events(
     let log = Arc::clone(&app.state.feed.events);
     let sees_fixes = caller.may(Role::Operator);
     let map = WatchStream::new(app.state.store.progress())
-        .map(|now| Told::state("map", &catalog::progress_json(&now)));
+        .map(|now| Told::state("map", &catalog::progress_answer(&now)));
     let progress = app.state.store.progress();
     let health = WatchStream::new(app.state.health.follow())
-        .map(move |now| Told::state("health", &probes::readiness_json(&now, &progress.borrow())));
+        .map(move |now| Told::state("health", &probes::readiness_answer(&now, &progress.borrow())));
     // An event and no comment: a page does not hear comments, and shall notice when nobody speaks any more.
     let alive = IntervalStream::new(interval_at(Instant::now() + ALIVE, ALIVE)).map(|_| Told::alive());
     let asked = headers.get("last-event-id").map(|id| id.to_str().ok().and_then(|id| log.number(id)));
@@ -89,7 +134,7 @@ pub async fn events(
     });
     // A listener hears something every two seconds, and no more once its token has expired.
     let gate = Arc::clone(&app.gate);
-    let stream = stream.take_while(move |_| gate.holds(&caller));
+    let stream = stream.map(move |event| event.filter(|_| gate.holds(&caller)));
     let end = WatchStream::new(app.state.ending.clone()).filter(|ending| *ending).map(|_| None);
     let stream = stream.merge(end).map_while(move |event| {
         // The permit is returned when the stream ends.
@@ -119,7 +164,7 @@ impl Told {
 
     /// So many events are not told: `TOO_OLD` is no longer kept, `OTHER_RUN` happened before the service was started.
     fn missed(count: Option<u64>, reason: &'static str) -> Self {
-        Self::state("missed", &json!({ "count": count, "reason": reason }))
+        Self::state("missed", &MissedEvent { count, reason })
     }
 
     fn event(self, id: String) -> Event {

@@ -1,5 +1,6 @@
 //! HTTP for operators: map layers, the catalog, the feeds, health, metrics and the console.
 //!
+//! - `answers`: what is answered in JSON, as types.
 //! - `access`: who asks, and whether they may.
 //! - `session`: browsers sign in and out.
 //! - `error`: why a request was not answered, said once.
@@ -25,8 +26,11 @@
 //! - `console`: the page an operator looks at.
 
 mod access;
+mod answers;
 mod catalog;
 mod console;
+#[cfg(test)]
+mod contract;
 mod contributor;
 mod cors;
 mod day;
@@ -188,8 +192,8 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/map/undo", post(decisions::undo)),
         ("/api/v1/map/compact", post(decisions::compact)),
         // Its former name, which older commands use.
-        ("/api/v1/map/settle", post(decisions::compact)),
-        ("/api/v1/map/verify", get(operations::verify).post(operations::verify)),
+        ("/api/v1/map/settle", post(decisions::settle)),
+        ("/api/v1/map/verify", get(operations::verify).post(operations::verify_with_replay)),
         ("/api/v1/map/export", get(files::export)),
         ("/api/v1/map/import", post(files::import)),
         ("/api/v1/map/backup", get(files::backup)),

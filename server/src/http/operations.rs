@@ -5,16 +5,20 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
-use axum::http::{Method, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use echofix_core::geo::{Grid, TileId};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
 
 use super::App;
+use super::answers::{
+    Cells, DiffAnswer, DifferenceAnswer, ErrorAnswer, EventAnswer, Happened, HistoryAnswer, RemarkedAnswer,
+    TileDifference, VerifiedAnswer,
+};
 use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
+use super::openapi::BUSY;
 use super::raster::corners;
 use crate::identity::Caller;
 use crate::shares::Peer;
@@ -27,12 +31,29 @@ const MAX_TILES: usize = 10_000;
 const MAX_EVENTS: usize = 10_000;
 
 /// `?limit=`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct HistoryQuery {
+    /// How many events.
+    #[param(minimum = 1, maximum = 10000, default = 100)]
     limit: Option<usize>,
 }
 
 /// `GET /api/v1/map/history?limit=`, newest first
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/history",
+    operation_id = "getHistory",
+    tag = "history",
+    summary = "What happened to the map since what was compacted.",
+    description = "",
+    params(HistoryQuery),
+    responses(
+        (status = 200, description = "Newest first.", body = HistoryAnswer),
+        (status = 400, description = "A bad limit.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn history(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -46,49 +67,61 @@ pub async fn history(
     // It is read from memory: no operation that folds the map is waited for.
     let found = app.limiter.work(peer, move || Ok((operations.history(limit), operations.epochs())));
     let (events, (oldest, newest)) = found.await?;
-    let events: Vec<_> = events.iter().map(event).collect();
-    Ok(fresh(json!({ "events": events, "oldest": oldest, "newest": newest })))
+    Ok(fresh(HistoryAnswer { events: events.into_iter().map(event).collect(), oldest, newest }))
 }
 
-fn event(event: &HistoryEvent) -> Value {
-    let mut body = json!({ "first": event.first, "last": event.last, "date": iso_date(event.day) });
-    let rest = match event.what {
-        EventKind::Uploads { uploads, contributors, taken_back } => json!({
-            "kind": "uploads", "uploads": uploads, "contributors": contributors, "taken_back": taken_back,
-        }),
-        EventKind::Import { file, tiles, taken_back } => json!({
-            "kind": "import", "file": file.to_string(), "tiles": tiles, "taken_back": taken_back,
-        }),
-        EventKind::Control { at_us, decision, takes_back, ref remark, undone_by } => {
-            let (kind, of): (_, Value) = match decision {
-                Decision::RevokeContributor(hash) => ("revoke_contributor", hash_word(hash).into()),
-                Decision::RevokeUpload(id) => ("revoke_upload", id.to_string().into()),
-                Decision::Rollback(epoch) => ("rollback", epoch.into()),
-                Decision::Undo(number) => ("undo", number.into()),
-                Decision::Compact(last) => ("settle", last.into()),
-            };
-            let mut body = json!({
-                "kind": kind, "of": of, "at_us": at_us, "by": remark.by, "reason": remark.reason, "undone_by": undone_by,
-            });
-            let effect = if kind == "undo" { "gives_back" } else { "takes_back" };
-            body[effect] = takes_back.into();
-            body
+fn event(event: HistoryEvent) -> EventAnswer {
+    let what = match event.what {
+        EventKind::Uploads { uploads, contributors, taken_back } => {
+            Happened::Uploads { uploads, contributors, taken_back }
+        }
+        EventKind::Import { file, tiles, taken_back } => {
+            Happened::Import { file: file.to_string(), tiles, taken_back }
+        }
+        EventKind::Control { at_us, decision, takes_back, remark, undone_by } => {
+            let remarked = RemarkedAnswer { at_us, by: remark.by, reason: remark.reason, undone_by };
+            match decision {
+                Decision::RevokeContributor(hash) => {
+                    Happened::RevokeContributor { of: hash_word(hash), takes_back, remarked }
+                }
+                Decision::RevokeUpload(id) => {
+                    Happened::RevokeUpload { of: id.to_string(), takes_back, remarked }
+                }
+                Decision::Rollback(of) => Happened::Rollback { of, takes_back, remarked },
+                Decision::Undo(of) => Happened::Undo { of, gives_back: takes_back, remarked },
+                Decision::Compact(of) => Happened::Settle { of, takes_back, remarked },
+            }
         }
     };
-    if let (Some(body), Value::Object(rest)) = (body.as_object_mut(), rest) {
-        body.extend(rest);
-    }
-    body
+    EventAnswer { first: event.first, last: event.last, date: iso_date(event.day), what }
 }
 
 /// `?from=&to=`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct DiffQuery {
+    /// The earlier epoch.
     from: u64,
+    /// The later epoch.
     to: u64,
 }
 
 /// `GET /api/v1/map/diff?from=&to=`
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/diff",
+    operation_id = "getDiff",
+    tag = "history",
+    summary = "How the map of one epoch differs from that of another.",
+    description = "",
+    params(DiffQuery),
+    responses(
+        (status = 200, description = "The difference.", body = DiffAnswer),
+        (status = 400, description = "Not two epochs.", body = ErrorAnswer),
+        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn diff(
     State(app): State<Arc<App>>,
     peer: Peer,
@@ -96,27 +129,23 @@ pub async fn diff(
 ) -> Result<Response, Error> {
     let Query(DiffQuery { from, to }) = span?;
     let diffs = work(&app, peer, move |operations| Ok(operations.diff(from, to)?)).await?;
-    let mut body = diffs_json(&diffs);
-    (body["from"], body["to"]) = (from.into(), to.into());
-    Ok(fresh(body))
+    Ok(fresh(DiffAnswer { from, to, difference: difference(&diffs) }))
 }
 
 /// How two maps differ.
-pub(super) fn diffs_json(diffs: &[TileDiff]) -> Value {
-    let sum = |of: fn(&TileDiff) -> u32| diffs.iter().map(|diff| u64::from(of(diff))).sum::<u64>();
-    let cells =
-        json!({ "added": sum(|d| d.added), "removed": sum(|d| d.removed), "changed": sum(|d| d.changed) });
-    let one = |diff: &TileDiff| {
-        json!({
-            "id": diff.id.to_string(),
-            "added": diff.added,
-            "removed": diff.removed,
-            "changed": diff.changed,
-            "corners": tile_corners(diff.id),
-        })
+pub(super) fn difference(diffs: &[TileDiff]) -> DifferenceAnswer {
+    let sum = |of: fn(&TileDiff) -> u32| diffs.iter().map(|diff| u64::from(of(diff))).sum();
+    let cells = |[added, removed, changed]: [u64; 3]| Cells { added, removed, changed };
+    let one = |diff: &TileDiff| TileDifference {
+        id: diff.id.to_string(),
+        cells: cells([diff.added, diff.removed, diff.changed].map(u64::from)),
+        corners: tile_corners(diff.id),
     };
-    let named: Vec<_> = diffs.iter().take(MAX_TILES).map(one).collect();
-    json!({ "cells": cells, "tiles_changed": diffs.len(), "tiles": named })
+    DifferenceAnswer {
+        cells: cells([sum(|d| d.added), sum(|d| d.removed), sum(|d| d.changed)]),
+        tiles_changed: diffs.len(),
+        tiles: diffs.iter().take(MAX_TILES).map(one).collect(),
+    }
 }
 
 /// Longitude and latitude of a tile's corners; nothing where the projection does not reach.
@@ -126,33 +155,77 @@ fn tile_corners(id: TileId) -> Option<[[f64; 2]; 4]> {
 }
 
 /// `?replay=`
-#[derive(Deserialize)]
+#[derive(Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct VerifyQuery {
+    /// Also fold the journal again and compare; only POST may ask for it.
+    #[param(default = false, required = false)]
     #[serde(default)]
     replay: bool,
 }
 
-/// `GET /api/v1/map/verify`, and `POST /api/v1/map/verify?replay=true`: folding the journal again takes a core for a minute,
-/// which no picture of a page shall start
+type VerifyParameters = Result<Query<VerifyQuery>, QueryRejection>;
+
+/// `GET /api/v1/map/verify`: folding the journal again takes a core for a minute, which no picture of a page shall start
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/verify",
+    operation_id = "verify",
+    tag = "files",
+    summary = "Read all that is stored and check it.",
+    description = "",
+    params(VerifyQuery),
+    responses(
+        (status = 200, description = "What was found.", body = VerifiedAnswer),
+        (status = 400, description = "A bad parameter.", body = ErrorAnswer),
+        (status = 405, description = "A replay is work: it is asked for with POST.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn verify(
-    method: Method,
     State(app): State<Arc<App>>,
     peer: Peer,
-    replay: Result<Query<VerifyQuery>, QueryRejection>,
+    replay: VerifyParameters,
 ) -> Result<Response, Error> {
-    let Query(VerifyQuery { replay }) = replay?;
-    if replay && method != Method::POST {
+    if replay?.0.replay {
         return Err(Error::PostOnly("a replay"));
     }
-    let found = work(&app, peer, move |operations| Ok(operations.verify(replay)?)).await?;
-    Ok(fresh(json!({
-        "sound": found.damage.is_empty(),
-        "records": found.records,
-        "base_tiles": found.checkpoint_tiles,
-        "tiles": found.tiles,
-        "compared": found.compared,
-        "damage": found.damage,
-    })))
+    verified(&app, peer, false).await
+}
+
+/// `POST /api/v1/map/verify?replay=true`
+#[utoipa::path(
+    post,
+    path = "/api/v1/map/verify",
+    operation_id = "verifyWithReplay",
+    tag = "files",
+    summary = "Read all that is stored and check it, and fold the journal again where that is asked for.",
+    description = "",
+    params(VerifyQuery),
+    responses(
+        (status = 200, description = "What was found.", body = VerifiedAnswer),
+        (status = 400, description = "A bad parameter.", body = ErrorAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
+pub async fn verify_with_replay(
+    State(app): State<Arc<App>>,
+    peer: Peer,
+    replay: VerifyParameters,
+) -> Result<Response, Error> {
+    verified(&app, peer, replay?.0.replay).await
+}
+
+async fn verified(app: &App, peer: Peer, replay: bool) -> Result<Response, Error> {
+    let found = work(app, peer, move |operations| Ok(operations.verify(replay)?)).await?;
+    Ok(fresh(VerifiedAnswer {
+        sound: found.damage.is_empty(),
+        records: found.records,
+        base_tiles: found.checkpoint_tiles,
+        tiles: found.tiles,
+        compared: found.compared,
+        damage: found.damage,
+    }))
 }
 
 /// Every decision is told in the log: who took it, how that is known, from where, what it is, and why.
@@ -191,6 +264,7 @@ async fn held<T: Send + 'static>(
     .await?
 }
 
-pub(super) fn fresh(body: Value) -> Response {
+/// An answer that nobody keeps.
+pub(super) fn fresh(body: impl Serialize) -> Response {
     ([(header::CACHE_CONTROL, "no-store")], Json(body)).into_response()
 }

@@ -31,8 +31,10 @@ const QUEUE: usize = 8;
 const EACH: usize = 2;
 
 /// `?epoch=`; without it, the map that is served now.
-#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct EpochQuery {
+    /// The map as it was at this epoch; without it, as it is served. It is folded when it is first asked for.
     epoch: Option<u64>,
 }
 

@@ -8,9 +8,9 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use serde_json::{Value, json};
 
 use super::App;
+use super::answers::{AliveAnswer, PartReadiness, ReadinessAnswer, ReadyAnswer};
 use crate::health::{Readiness, ServiceReadiness};
 use crate::metrics::{HttpLabels, RouteLabel};
 use crate::port::Port;
@@ -21,39 +21,79 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 const CLASSIC: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// `GET /healthz`: whether a restart would help
+#[utoipa::path(
+    get,
+    path = "/healthz",
+    operation_id = "getHealth",
+    tag = "service",
+    summary = "Whether the process is alive, or only a restart helps.",
+    description = "",
+    responses(
+        (status = 200, description = "Alive.", body = AliveAnswer),
+        (status = 503, description = "Something hangs.", body = AliveAnswer),
+    )
+)]
 pub async fn healthz(State(app): State<Arc<App>>) -> impl IntoResponse {
     let hang = app.state.store.hang();
     let status = if hang.is_none() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let body = Json(json!({ "alive": hang.is_none(), "reason": hang }));
+    let body = Json(AliveAnswer { alive: hang.is_none(), reason: hang });
     (status, [(header::CACHE_CONTROL, "no-store")], body)
 }
 
 /// `GET /readyz`: whether vehicles can be localized. What else is not well is in the body
+#[utoipa::path(
+    get,
+    path = "/readyz",
+    operation_id = "getReadiness",
+    tag = "service",
+    summary = "Whether requests are welcome, or why not.",
+    description = "",
+    responses(
+        (status = 200, description = "Vehicles can be localized; what else is not well is told.", body = ReadyAnswer),
+        (status = 503, description = "They cannot.", body = ReadyAnswer),
+    )
+)]
 pub async fn readyz(State(app): State<Arc<App>>) -> impl IntoResponse {
     let readiness = app.state.health.get();
     let ready = readiness.localizing.is_ready();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let mut body = readiness_json(&readiness, &app.state.store.progress().borrow());
-    // Told wherever somebody looks: it is meant, or a mistake.
-    body["anonymous"] = app.gate.anonymous().map(|roles| roles.to_string()).into();
+    let body = ReadyAnswer {
+        readiness: readiness_answer(&readiness, &app.state.store.progress().borrow()),
+        // Told wherever somebody looks: it is meant, or a mistake.
+        anonymous: app.gate.anonymous().map(|roles| roles.to_string()),
+    };
     (status, [(header::CACHE_CONTROL, "no-store")], Json(body))
 }
 
-/// The readiness as JSON, with the epoch that is served and the last one that was journaled.
-pub fn readiness_json(readiness: &ServiceReadiness, progress: &MapProgress) -> Value {
+/// The readiness, with the epoch that is served and the last one that was journaled.
+pub fn readiness_answer(readiness: &ServiceReadiness, progress: &MapProgress) -> ReadinessAnswer {
     let ServiceReadiness { localizing, uploading } = readiness;
-    let of = |readiness: &Readiness| json!({ "ready": readiness.is_ready(), "reason": readiness.reason() });
-    json!({
-        "ready": localizing.is_ready(),
-        "reason": localizing.reason().or(uploading.reason()),
-        "localizing": of(localizing),
-        "uploading": of(uploading),
-        "epoch": progress.epoch,
-        "journaled": progress.journaled,
-    })
+    let of = |readiness: &Readiness| PartReadiness {
+        ready: readiness.is_ready(),
+        reason: readiness.reason().map(str::to_owned),
+    };
+    ReadinessAnswer {
+        ready: localizing.is_ready(),
+        reason: localizing.reason().or(uploading.reason()).map(str::to_owned),
+        localizing: of(localizing),
+        uploading: of(uploading),
+        epoch: progress.epoch,
+        journaled: progress.journaled,
+    }
 }
 
 /// `GET /metrics`
+#[utoipa::path(
+    get,
+    path = "/metrics",
+    operation_id = "getMetrics",
+    tag = "service",
+    summary = "What the service counts.",
+    description = "",
+    responses(
+        (status = 200, description = "In the format that `Accept` names; OpenMetrics without one.", content((String = "application/openmetrics-text"), (String = "text/plain"))),
+    )
+)]
 pub async fn metrics(State(app): State<Arc<App>>, headers: HeaderMap) -> impl IntoResponse {
     let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let accepted = accepted.collect::<Vec<_>>().join(",").to_ascii_lowercase();
@@ -84,6 +124,7 @@ mod tests {
     use super::*;
     use crate::http::testing::{TestSite, json_of};
     use axum::http::Method;
+    use serde_json::json;
 
     #[tokio::test]
     async fn metrics_come_in_the_format_that_is_accepted() {

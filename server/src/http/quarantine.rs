@@ -1,6 +1,6 @@
 //! What vetting kept out of the map, and what several contributors agree on.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use axum::extract::State;
@@ -14,11 +14,13 @@ use serde_json::{Value, json};
 use uuid::Uuid;
 
 use super::App;
+use super::answers::{AlarmAnswer, ErrorAnswer, QuarantineAnswer};
 use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
+use super::openapi::BUSY;
 use super::operations::fresh;
-use crate::feed::QuarantineEvent;
+use crate::feed::{MapOffset, Place, QuarantineEvent};
 use crate::shares::Peer;
 use crate::store::QuarantinedRecord;
 
@@ -26,6 +28,18 @@ use crate::store::QuarantinedRecord;
 const MAX_LISTED: usize = 10_000;
 
 /// `GET /api/v1/map/quarantine`: uploads that were kept out of the map, newest first, and what they agree on
+#[utoipa::path(
+    get,
+    path = "/api/v1/map/quarantine",
+    operation_id = "getQuarantine",
+    tag = "history",
+    summary = "Uploads that vetting kept out of the map, and what they agree on.",
+    description = "",
+    responses(
+        (status = 200, description = "Newest first; the newest 10 000 of them.", body = QuarantineAnswer),
+        (status = 503, description = BUSY, body = ErrorAnswer),
+    )
+)]
 pub async fn quarantine(State(app): State<Arc<App>>, peer: Peer) -> Result<Response, Error> {
     let limits = app.state.alarm_limits;
     let operations = Arc::clone(&app.state.operations);
@@ -36,16 +50,10 @@ pub async fn quarantine(State(app): State<Arc<App>>, peer: Peer) -> Result<Respo
         Ok((kept_out, operations.upload_ids(&listed), alarms(&entries, &limits)))
     });
     let (kept_out, ids, alarms) = read.await?;
-    let alarms: Vec<_> = alarms.iter().map(alarm_json).collect();
+    let alarms = alarms.iter().map(alarm_answer).collect();
     let newest = kept_out.iter().rev().take(MAX_LISTED);
-    let uploads: Vec<_> = newest.map(|record| quarantined(record, &ids)).collect();
-    Ok(fresh(json!({ "quarantined": kept_out.len(), "uploads": uploads, "alarms": alarms })))
-}
-
-fn quarantined(record: &QuarantinedRecord, ids: &HashMap<u64, Uuid>) -> Value {
-    let event = quarantine_event(record, ids.get(&record.number).copied());
-    // Our own plain structs always have a JSON form.
-    serde_json::to_value(event).unwrap_or_default()
+    let uploads = newest.map(|record| quarantine_event(record, ids.get(&record.number).copied())).collect();
+    Ok(fresh(QuarantineAnswer { quarantined: kept_out.len(), uploads, alarms }))
 }
 
 /// An entry of the quarantine, as it is listed and as it is told.
@@ -57,8 +65,8 @@ pub fn quarantine_event(record: &QuarantinedRecord, id: Option<Uuid>) -> Quarant
         contributor: hash_word(upload.contributor),
         reason: reason_word(record.reason),
         date: iso_date(upload.day),
-        place: place_json(upload.zone, upload.position),
-        offset: upload.offset.as_ref().map(offset_json),
+        place: place(upload.zone, upload.position),
+        offset: upload.offset.as_ref().map(map_offset),
         offset_m: upload.offset.map(|offset| offset.pose().x_m.hypot(offset.pose().y_m)),
     }
 }
@@ -73,15 +81,13 @@ fn reason_word(reason: Reason) -> &'static str {
 }
 
 /// An alarm as it is listed, and told.
-fn alarm_json(alarm: &Alarm) -> Value {
-    let (kind, by) = match &alarm.kind {
-        AlarmKind::Shift(by) => ("SHIFT", Some(offset_json(by))),
+fn alarm_answer(alarm: &Alarm) -> AlarmAnswer {
+    let (kind, offset) = match &alarm.kind {
+        AlarmKind::Shift(by) => ("SHIFT", Some(map_offset(by))),
         AlarmKind::Changed => ("CHANGED", None),
     };
-    json!({
-        "kind": kind, "offset": by, "contributors": alarm.contributors, "since": iso_date(alarm.since),
-        "place": place_json(alarm.zone, alarm.position),
-    })
+    let (contributors, since) = (alarm.contributors, iso_date(alarm.since));
+    AlarmAnswer { kind, offset, contributors, since, place: place(alarm.zone, alarm.position) }
 }
 
 /// An alarm as the webhook is told: what it is, where, how many agree, who, and where to look.
@@ -95,7 +101,8 @@ pub fn alarm_message(
         .map(|record| record.upload)
         .filter(|upload| upload.zone == alarm.zone && upload.position.distance_m(alarm.position) <= within_m);
     let near: BTreeSet<_> = near.map(|upload| hash_word(upload.contributor)).collect();
-    let mut message = alarm_json(alarm);
+    // Our own plain structs always have a JSON form.
+    let mut message = serde_json::to_value(alarm_answer(alarm)).unwrap_or_default();
     message["count"] = message["contributors"].take();
     message["contributors"] = json!(near);
     message["service"] = json!("echofix");
@@ -103,13 +110,13 @@ pub fn alarm_message(
     message
 }
 
-fn offset_json(offset: &Offset) -> Value {
+fn map_offset(offset: &Offset) -> MapOffset {
     let pose = offset.pose();
-    json!({ "east_m": pose.x_m, "north_m": pose.y_m, "yaw_deg": pose.yaw_rad.to_degrees() })
+    MapOffset { east_m: pose.x_m, north_m: pose.y_m, yaw_deg: pose.yaw_rad.to_degrees() }
 }
 
 /// WGS-84 degrees of a point; nothing where the zone does not reach.
-fn place_json(zone: Zone, point: MapPoint) -> Value {
-    let at = Grid::new(zone).and_then(|grid| grid.unproject(point));
-    at.map_or(Value::Null, |at| json!({ "lat": at.lat_deg, "lon": at.lon_deg }))
+fn place(zone: Zone, point: MapPoint) -> Option<Place> {
+    let at = Grid::new(zone).and_then(|grid| grid.unproject(point)).ok()?;
+    Some(Place { lat: at.lat_deg, lon: at.lon_deg })
 }

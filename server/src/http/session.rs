@@ -9,28 +9,56 @@ use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use axum::{Json, http::StatusCode};
 use serde::Deserialize;
-use serde_json::{Value, json};
+use utoipa::ToSchema;
 
 use super::App;
+use super::answers::{CallerAnswer, ErrorAnswer};
 use super::error::Error;
 use super::outside::Outside;
 use crate::identity::{Caller, CookieScope, Peer, Role};
 
 /// With what a browser signs in.
-#[derive(Deserialize)]
+#[derive(Deserialize, ToSchema)]
+#[schema(as = SignIn)]
 #[serde(deny_unknown_fields)]
 pub struct SessionBody {
+    /// A bearer token of this service.
     token: String,
 }
 
 type OnPeer = Option<Extension<Arc<Peer>>>;
 
 /// `GET /session`
+#[utoipa::path(
+    get,
+    path = "/session",
+    operation_id = "getSession",
+    tag = "session",
+    summary = "Who asks, and as what.",
+    description = "",
+    responses(
+        (status = 200, description = "The caller.", body = CallerAnswer),
+    )
+)]
 pub async fn who(Extension(caller): Extension<Arc<Caller>>) -> Response {
-    ([(header::CACHE_CONTROL, "no-store")], Json(caller_json(&caller))).into_response()
+    ([(header::CACHE_CONTROL, "no-store")], Json(caller_answer(&caller))).into_response()
 }
 
 /// `POST /session`
+#[utoipa::path(
+    post,
+    path = "/session",
+    operation_id = "signIn",
+    tag = "session",
+    summary = "Sign a browser in with a token.",
+    description = "",
+    request_body = SessionBody,
+    responses(
+        (status = 200, description = "Signed in: the cookie `echofix_session` stands for the token from now on.", body = CallerAnswer, headers(("set-cookie" = String, description = "The session."))),
+        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 401, description = "The token is not known.", body = ErrorAnswer),
+    )
+)]
 pub async fn sign_in(
     State(app): State<Arc<App>>,
     peer: OnPeer,
@@ -42,10 +70,21 @@ pub async fn sign_in(
         app.gate.sign_in(token.trim(), peer.as_deref().map(|peer| &**peer), scope(&outside))?;
     tracing::info!(%caller, "signed in");
     let headers = [(header::CACHE_CONTROL, "no-store".to_owned()), (header::SET_COOKIE, cookie)];
-    Ok((headers, Json(caller_json(&caller))).into_response())
+    Ok((headers, Json(caller_answer(&caller))).into_response())
 }
 
 /// `DELETE /session`
+#[utoipa::path(
+    delete,
+    path = "/session",
+    operation_id = "signOut",
+    tag = "session",
+    summary = "Sign a browser out.",
+    description = "",
+    responses(
+        (status = 204, description = "Signed out.", headers(("set-cookie" = String, description = "Ends the session."))),
+    )
+)]
 pub async fn sign_out(
     State(app): State<Arc<App>>,
     peer: OnPeer,
@@ -61,7 +100,10 @@ fn scope(outside: &Outside) -> CookieScope<'_> {
     CookieScope { path: &outside.prefix, encrypted: outside.encrypted }
 }
 
-fn caller_json(caller: &Caller) -> Value {
-    let roles: Vec<_> = caller.roles.iter().map(Role::name).collect();
-    json!({ "name": caller.name, "roles": roles, "known_by": caller.known.word() })
+fn caller_answer(caller: &Caller) -> CallerAnswer {
+    CallerAnswer {
+        name: caller.name.clone(),
+        roles: caller.roles.iter().map(Role::name).collect(),
+        known_by: caller.known.word(),
+    }
 }

@@ -53,6 +53,8 @@ pub struct FakeStore {
     /// The map's lineage.
     pub lineage: AtomicU64,
     progress: watch::Sender<MapProgress>,
+    /// What vetting kept out of it.
+    pub kept_out: Mutex<Vec<QuarantinedRecord>>,
     folds: Mutex<Option<Arc<Folds>>>,
 }
 
@@ -95,6 +97,7 @@ impl Default for FakeStore {
             reads: AtomicUsize::new(0),
             lineage: AtomicU64::new(0),
             progress: watch::Sender::new(serving(1)),
+            kept_out: Mutex::default(),
             folds: Mutex::default(),
         }
     }
@@ -239,7 +242,7 @@ impl Operations for FakeStore {
     }
 
     fn quarantined(&self) -> Result<Vec<QuarantinedRecord>, Error> {
-        Ok(Vec::new())
+        Ok(self.kept_out.lock().unwrap().clone())
     }
 
     fn decide(&self, _: &Proposal, _: &Remark) -> Result<Option<u64>, Error> {

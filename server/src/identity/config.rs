@@ -165,7 +165,8 @@ pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) 
     if identity.strangers(tls) == Strangers::Unasked {
         return Err(Error::Nobody { address });
     }
-    if !(identity.tokens.is_empty() && identity.jwt_jwks.is_empty()) && !tls.is_on() && !identity.plaintext {
+    let takes_tokens = !identity.tokens.is_empty() || !identity.jwt_jwks.is_empty();
+    if takes_tokens && !tls.is_on() && !identity.plaintext {
         return Err(Error::Readable { address });
     }
     Ok(())

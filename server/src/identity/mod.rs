@@ -37,4 +37,5 @@ pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
 pub use role::{Role, Roles};
+pub use sessions::COOKIE;
 pub use tls::Identified;

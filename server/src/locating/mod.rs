@@ -21,7 +21,9 @@ use echofix_core::point::MapPoint;
 use echofix_core::pose::Pose2;
 use echofix_core::window::MapSquare;
 pub use expectation::{Expectations, NotAssessed, SPOTS_PER_SIDE, TileExpectation};
+use tracing::Instrument;
 
+use crate::export::part;
 use crate::patience::Patience;
 use crate::store::{self, MapStore, Withheld};
 pub use prepared_tiles::CacheFigures;
@@ -245,7 +247,7 @@ impl Locator {
     /// When too many wait already.
     pub async fn admit(&self) -> Result<Admitted, LocateRefusal> {
         let waiting = Instant::now();
-        let slot = self.slots.take().await?;
+        let slot = self.slots.take().instrument(part!("queue")).await?;
         Ok(Admitted { slot, queued: waiting.elapsed() })
     }
 
@@ -331,7 +333,8 @@ impl Locator {
     ) -> Result<LocateAnswer, LocateRefusal> {
         let PlacedPrior { grid, prior, frame } = self.placed_prior(request)?;
         let fetching = Instant::now();
-        let found = self.tiles.get(&*self.store, frame).map_err(LocateRefusal::Store)?;
+        let found = part!("map").in_scope(|| self.tiles.get(&*self.store, frame));
+        let found = found.map_err(LocateRefusal::Store)?;
         if found.tiles.is_empty() {
             let swapped = self.knows_exchanged(request);
             return Err(self.no_map(frame, request.at, swapped));
@@ -344,9 +347,10 @@ impl Locator {
         let (search, integrity) = (self.config.search(), self.config.integrity());
         let task = Task { square: frame, tiles: &found.tiles, batch: &request.batch, prior: &prior };
         let engine = EngineKind::from(self.config.engine).engine();
-        let mut alignment = aligner.align(&task, engine, &search, &integrity);
+        let mut alignment = part!("align").in_scope(|| aligner.align(&task, engine, &search, &integrity));
         let correction = alignment.correction;
-        let wide = self.relocalize(request, &grid, &prior, &alignment, aligner)?;
+        let wide =
+            part!("relocalize").in_scope(|| self.relocalize(request, &grid, &prior, &alignment, aligner))?;
         let relocalized = wide.is_some();
         alignment = wide.unwrap_or(alignment);
         let combined = request.combine && alignment.verdict == Verdict::Usable;

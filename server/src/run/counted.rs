@@ -14,9 +14,11 @@ use tonic_types::StatusExt;
 use tower::{Layer, Service};
 
 use super::calls::WITHOUT_END;
+use crate::export;
 use crate::identity::access::{Call, TABLE};
 use crate::metrics::{Metrics, ReasonLabel};
 use crate::rpc_code::word;
+use crate::trace::CallSpan;
 
 /// Counts calls.
 #[derive(Clone)]
@@ -58,6 +60,7 @@ where
             began: Instant::now(),
             took: None,
             over: false,
+            span: request.extensions().get().map(|CallSpan(span)| span.clone()),
         };
         let answer = self.inner.call(request);
         Box::pin(async move {
@@ -85,6 +88,8 @@ struct CountedCall {
     /// How long it took, where that is known before its end.
     took: Option<std::time::Duration>,
     over: bool,
+    /// Its span, which ends with it.
+    span: Option<tracing::Span>,
 }
 
 impl CountedCall {
@@ -109,6 +114,12 @@ impl CountedCall {
 
     fn count(&mut self, code: &'static str) {
         if !std::mem::replace(&mut self.over, true) {
+            if let Some(span) = self.span.take() {
+                export::note(&span, "rpc.grpc.status_code", code.to_owned());
+                if code != word(Code::Ok) {
+                    export::failed(&span, code);
+                }
+            }
             self.metrics.count_rpc(self.method, code, self.took.unwrap_or_else(|| self.began.elapsed()));
         }
     }

@@ -58,7 +58,9 @@ impl Fleet {
             self.map.offer(upload);
         }
         if let Some(demand) = self.demands.get(who as usize) {
-            answers.iter().for_each(|answer| demand.learn(answer, today));
+            for answer in &answers {
+                demand.learn(answer, today);
+            }
         }
     }
 

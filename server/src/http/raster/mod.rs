@@ -18,7 +18,7 @@ mod view_content;
 pub use artist::Artist;
 pub use layer::Layer;
 pub use overview::{Overview, corners};
-pub use palette::legend;
+pub use palette::{LegendEntry, legend};
 pub use view::{MAX_ZOOM, View};
 
 use echofix_core::align::localizability::{Expected, Localizability};

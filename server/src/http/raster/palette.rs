@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use serde::Serialize;
+use utoipa::ToSchema;
 
 use super::{Layer, Spot};
 use crate::http::error::Error;
@@ -63,7 +64,7 @@ pub fn level_of_sigma(sigma_m: f64) -> u8 {
 }
 
 /// An entry of a layer's legend.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, ToSchema)]
 pub struct LegendEntry {
     /// What the colour stands for.
     pub label: String,

@@ -22,7 +22,7 @@ pub struct Keys(HashMap<String, Key>);
 #[derive(Clone)]
 pub(super) struct Key {
     pub(super) algorithms: Vec<Algorithm>,
-    pub(super) key: DecodingKey,
+    pub(super) decoding: DecodingKey,
     /// To tell it from another one of the same id.
     print: Vec<u8>,
 }
@@ -108,7 +108,7 @@ impl Key {
         let algorithms: Vec<_> = of_its_own.map(|(algorithm, _)| *algorithm).collect();
         let key = DecodingKey::from_jwk(jwk).ok()?;
         let print = print_of(key.kind())?;
-        (for_signatures && !algorithms.is_empty()).then_some(Self { algorithms, key, print })
+        (for_signatures && !algorithms.is_empty()).then_some(Self { algorithms, decoding: key, print })
     }
 }
 

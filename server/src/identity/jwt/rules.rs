@@ -77,7 +77,7 @@ pub(in crate::identity) fn told_by(
     validation.set_audience(&[&config.jwt_audience]);
     validation.set_issuer(&[&config.jwt_issuer]);
     validation.set_required_spec_claims(&["exp", "nbf", "iss", "aud"]);
-    let claims = decode::<Map<String, Value>>(token, &key.key, &validation)
+    let claims = decode::<Map<String, Value>>(token, &key.decoding, &validation)
         .map_err(|error| NotTaken::Other(in_words(error.kind())))?
         .claims;
     let name = claim(&claims, &config.jwt_name_claim).and_then(Value::as_str).filter(|name| is_name(name));

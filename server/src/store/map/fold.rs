@@ -7,6 +7,7 @@ use echofix_core::tile;
 use super::generation::Generation;
 use super::vetting::{Vetting, VettingOutcome};
 use super::write_buffer::{Folded, InMemory, Source, WriteBuffer};
+use crate::export::part;
 use crate::store::api::{Error, QuarantinedRecord, UploadRecord};
 use crate::store::log::entry::{self, RecordContent};
 use crate::store::log::exclusion::Exclusion;
@@ -106,6 +107,7 @@ pub(super) fn fold_group(
     folded: u64,
     (vetting, go_on): (&mut Vetting, &dyn Fn() -> bool),
 ) -> Result<FoldedGroup, Error> {
+    let _folding = part!("fold").entered();
     let mut reader = journal.reader();
     let mut left = counted.iter();
     let mut kept_out = Vec::new();
