@@ -42,7 +42,7 @@ pub fn turn_of(hash: u32, wanted_from: u16, today: u16) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tile::Cell;
+    use crate::evidence::Cell;
 
     fn tile(passes: u32, day: u16) -> Tile {
         Tile::from_cells(vec![(7, Cell { hits: 3, passes, last_day: day, ..Cell::default() })]).unwrap()

@@ -374,27 +374,34 @@ async fn a_street_that_is_known_well_is_uploaded_again_after_a_while() {
     let folder = tempfile::tempdir().expect("a folder can be made");
     let open = || Arc::new(Demand::open(&folder.path().join("demand"), "regular").expect("it can be opened"));
     let demand = open();
-    for day in 0..3 {
-        let (not_wanted, sent) = keeps_to(&service, &city, day, &demand).await;
-        assert!(not_wanted == 0 && sent > 0, "day {day}: {sent} sent, {not_wanted} not wanted");
+    let (not_wanted, sent) = keeps_to(&service, &city, 0, &demand).await;
+    assert!(not_wanted == 0 && sent > 0, "{sent} sent, {not_wanted} not wanted");
+    let mut known = 1;
+    while keeps_to(&service, &city, known, &demand).await.1 > 0 {
+        known += 1;
+        assert!(known < 9, "it is never known well");
     }
     demand.save().expect("it can be written");
     let demand = open();
-    let (not_wanted, sent) = keeps_to(&service, &city, 3, &demand).await;
+    let (not_wanted, sent) = keeps_to(&service, &city, known, &demand).await;
     assert!(not_wanted > 0 && sent == 0, "{sent} sent, {not_wanted} not wanted");
-    let at = street(&city, 3, "regular").reference[5].at;
+    let way: Vec<_> =
+        street(&city, known, "regular").reference.iter().step_by(10).map(|pose| pose.at).collect();
     let request = GetCoverageRequest {
-        latitude_deg: vec![at.lat_deg, 0.0],
-        longitude_deg: vec![at.lon_deg, 0.0],
+        latitude_deg: way.iter().map(|at| at.lat_deg).chain([0.0]).collect(),
+        longitude_deg: way.iter().map(|at| at.lon_deg).chain([0.0]).collect(),
         expectations: false,
     };
-    let coverage =
-        grpc::reading(&service).await.get_coverage(request).await.expect("it is answered").into_inner();
-    let newest = coverage.newest_day[0];
-    assert!((newest + 12..=newest + 14).contains(&coverage.wanted_from_day[0]), "{coverage:?}");
-    assert_eq!(coverage.wanted_from_day[1], 0, "nothing is known there");
-    demand.surprise(at);
-    assert!(keeps_to(&service, &city, 4, &demand).await.1 > 0, "the map seemed to have changed");
+    let mut reading = grpc::reading(&service).await;
+    let coverage = reading.get_coverage(request).await.expect("it is answered").into_inner();
+    let wanted = &coverage.wanted_from_day;
+    let newest = coverage.newest_day.iter().max().expect("there are points");
+    assert_eq!(wanted.last(), Some(&0), "nothing is known there");
+    assert!(wanted.iter().any(|day| (newest + 1..=newest + 14).contains(day)), "{coverage:?}");
+    for at in &way {
+        demand.surprise(*at);
+    }
+    assert!(keeps_to(&service, &city, known, &demand).await.1 > 0, "the map seemed to have changed");
     let (_, sent) = keeps_to(&service, &city, 60, &demand).await;
     assert!(sent > 0, "it is long ago");
 }

@@ -18,7 +18,7 @@ use super::calls::ROLES;
 pub const NAME: &str = "https://issuer.example";
 const AUDIENCE: &str = "echofix";
 
-/// Signs with ES256 and with EdDSA.
+/// Signs with ES256 and with `EdDSA`.
 pub struct Issuer {
     kid: String,
     curve: EcdsaKeyPair,
@@ -70,7 +70,7 @@ impl Issuer {
         .to_string()
     }
 
-    pub fn claims(&self, role: &str, lasts_s: i64) -> Value {
+    pub fn claims(role: &str, lasts_s: i64) -> Value {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() as i64;
         json!({ "iss": NAME, "aud": AUDIENCE, "sub": format!("{role}-1"), "nbf": now - 5,
                 "exp": now + lasts_s, "roles": [format!("fleet-{role}s"), "unheard of"] })
@@ -87,20 +87,20 @@ impl Issuer {
     }
 
     pub fn token(&self, role: &str) -> String {
-        self.signed(&self.claims(role, 3600))
+        self.signed(&Self::claims(role, 3600))
     }
 
-    /// The same by EdDSA.
+    /// The same by `EdDSA`.
     pub fn other_token(&self, role: &str) -> String {
         let header = json!({ "alg": "EdDSA", "kid": format!("{}-ed", self.kid) });
-        let claims = self.claims(role, 3600);
+        let claims = Self::claims(role, 3600);
         let message = format!("{}.{}", text(header.to_string()), text(claims.to_string()));
         format!("{message}.{}", text(self.edwards.sign(message.as_bytes())))
     }
 
     /// What must not be taken, with its name.
     pub fn bad_tokens(&self) -> Vec<(&'static str, String)> {
-        let good = || self.claims("admin", 3600);
+        let good = || Self::claims("admin", 3600);
         let now = good()["nbf"].as_i64().unwrap();
         let with = |key: &str, value: Value| {
             let mut claims = good();

@@ -304,7 +304,7 @@ async fn an_issuers_keys_rotate_and_its_tokens_end() {
         });
     });
     // Where to sign in, a token that ends soon is as good until then.
-    let short = issuer.signed(&issuer.claims("viewer", 4));
+    let short = issuer.signed(&Issuer::claims("viewer", 4));
     let body = format!(r#"{{"token":"{short}"}}"#);
     let nobody = Caller::nobody(&site);
     let (status, cookie) = tokio::task::block_in_place(|| nobody.post(&site, "/session", &body, &[]));
@@ -324,7 +324,7 @@ async fn an_issuers_keys_rotate_and_its_tokens_end() {
     }
     address.publish(&next.set());
     tokio::task::block_in_place(|| {
-        until_blocking("the new key is fetched", Duration::from_secs(60), || {
+        until_blocking("the new key is fetched", Duration::from_mins(1), || {
             (with(&next).status(&site, "/api/v1/map") == 200).then_some(())
         });
     });

@@ -211,7 +211,11 @@ impl Site {
     /// Who brings an issuer's token that stands for a role.
     pub fn with_jwt(&self, role: &str) -> Caller {
         // Every other one by the other algorithm.
-        let token = if role.len() % 2 == 0 { self.issuer.token(role) } else { self.issuer.other_token(role) };
+        let token = if role.len().is_multiple_of(2) {
+            self.issuer.token(role)
+        } else {
+            self.issuer.other_token(role)
+        };
         Caller::token(self, &format!("issuer's token of {role}"), &token)
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use jsonwebtoken::errors::ErrorKind;
-use jsonwebtoken::{Validation, decode, decode_header};
+use jsonwebtoken::{Validation, decode, decode_header, get_current_timestamp};
 use serde_json::{Map, Value};
 
 use super::keys::Keys;
@@ -92,10 +92,14 @@ pub(in crate::identity) fn told_by(
     }
     // The library has found it to be a number.
     let expires = claims.get("exp").and_then(Value::as_f64).unwrap_or(0.0);
+    // The library lets the last second pass, in which sessions and streams have ended.
     let lease = Lease {
         until_s: (expires as i64).saturating_add(config.jwt_leeway_s as i64),
         key: Arc::new((id.to_owned(), key.print().to_vec())),
     };
+    if get_current_timestamp() as i64 >= lease.until_s {
+        return Err(NotTaken::Other(in_words(&ErrorKind::ExpiredSignature)));
+    }
     Ok(Told { name: name.to_owned(), roles, lease })
 }
 
