@@ -137,6 +137,9 @@ impl MappingApi {
     /// Says of each tile when the next upload of it is wanted. It is not journaled: what is repeated is what is wanted by then.
     fn tell_demand(&self, response: &mut UploadResponse) {
         let policy = self.config.demand();
+        if policy.enough_passes == 0 {
+            return;
+        }
         for contribution in &mut response.tiles {
             let id = contribution.tile.as_ref().and_then(core_tile_id);
             // What cannot be read now is wanted.

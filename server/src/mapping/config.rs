@@ -79,7 +79,7 @@ impl Default for MappingConfig {
             expire_days: 365,
             max_age_days: 0,
             retention_days: 90,
-            enough_passes: DemandPolicy::default().enough_passes,
+            enough_passes: 0,
             refresh_days: DemandPolicy::default().refresh_days,
             max_upload_bytes: 16 << 20,
             max_upload_detections: 500_000,
