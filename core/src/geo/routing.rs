@@ -1,9 +1,6 @@
 //! Where a request should go.
 
 use std::fmt;
-use std::hash::Hasher;
-
-use siphasher::sip::SipHasher24;
 
 use super::{Error, Grid, LatLon, TileId};
 
@@ -31,25 +28,6 @@ impl RoutingRegion {
     }
 }
 
-impl RoutingRegion {
-    /// The replica, by name, that keeps this region's tiles warm: the one with the highest weight of region and name
-    /// (rendezvous hashing). Whoever has the same names comes to the same one, in whatever order they stand. A name that
-    /// goes moves its own regions only, to all others alike; one that comes takes regions from all others alike.
-    ///
-    /// Where it stands in the list; `None` of an empty one.
-    pub fn best_of(self, names: impl IntoIterator<Item = impl AsRef<str>>) -> Option<usize> {
-        let weighed = names.into_iter().map(|name| self.weight(name.as_ref())).enumerate();
-        weighed.max_by_key(|(_, weight)| *weight).map(|(at, _)| at)
-    }
-
-    /// A fixed function of region and name: vehicles, services and versions must agree on it.
-    fn weight(self, name: &str) -> u64 {
-        let mut hasher = SipHasher24::new();
-        hasher.write(format!("{self} {name}").as_bytes());
-        hasher.finish()
-    }
-}
-
 impl fmt::Display for RoutingRegion {
     /// As in the header `x-echofix-region`: zone, and squares east and north.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -61,8 +39,6 @@ impl fmt::Display for RoutingRegion {
 mod tests {
     use super::*;
 
-    /// Where Austin lies among the names of the test: a change of the weights moves every region of a running fleet.
-    const GOLDEN: usize = 3;
     const AUSTIN: LatLon = LatLon { lat_deg: 30.2672, lon_deg: -97.7431 };
 
     /// Catches a header that tells more of a place than some kilometres, or that differs within a street.
@@ -77,26 +53,5 @@ mod tests {
         seen.dedup();
         assert!((15..=17).contains(&seen.len()), "{} regions over 100 km", seen.len());
         assert!(RoutingRegion::of(LatLon { lat_deg: 89.0, lon_deg: 0.0 }).is_err());
-    }
-
-    /// Catches a hash that changes with a version, an order of names that counts, replicas that get nothing, and a replica
-    /// that goes and takes others' regions along.
-    #[test]
-    fn a_replica_that_goes_moves_its_own_regions_only() {
-        let names = ["a:1", "b:1", "c:1", "d:1"];
-        let regions = (0..4000).map(|i| RoutingRegion { epsg: 32614, x: i % 60, y: i / 60 });
-        let mut counts = [0; 4];
-        for region in regions {
-            let before = region.best_of(names).unwrap();
-            counts[before] += 1;
-            let turned: Vec<_> = names.iter().rev().collect();
-            assert_eq!(*turned[region.best_of(&turned).unwrap()], names[before]);
-            let left = [names[0], names[1], names[3]];
-            let after = left[region.best_of(left).unwrap()];
-            assert!(after == names[before] || before == 2, "{region} went from {} to {after}", names[before]);
-        }
-        assert!(counts.iter().all(|count| (900..1100).contains(count)), "{counts:?}");
-        assert_eq!(RoutingRegion::of(AUSTIN).unwrap().best_of(names), Some(GOLDEN));
-        assert_eq!(RoutingRegion::of(AUSTIN).unwrap().best_of([""; 0]), None);
     }
 }

@@ -60,7 +60,7 @@ pub(in crate::store) trait TileTable: Send + Sync {
     /// When the backend refuses.
     fn made_from(&self) -> Result<Option<Uuid>, Error>;
 
-    /// Says which journal all of it was folded from.
+    /// Says which journal all of it was folded from, durably.
     ///
     /// # Errors
     /// When the backend refuses or refused before.

@@ -55,8 +55,14 @@ pub(in crate::store) fn open(root: &Path, engine: TableEngine, cache_bytes: u64)
 mod tests {
     mod cost;
 
+    use std::fs;
+
+    use uuid::Uuid;
+
+    use super::sled_instance::Sled;
     use super::*;
     use crate::store::backend::conformance::{Place, conforms};
+    use crate::store::backend::tables::{TableId, TableUse};
 
     struct Directory(TableEngine, tempfile::TempDir);
 
@@ -69,6 +75,25 @@ mod tests {
     mod with_sled {
         use super::*;
         conforms!(Directory(TableEngine::Sled, tempfile::tempdir().unwrap()));
+    }
+
+    /// Catches: a map that is whole and is folded anew, because a crash came before anything else was written.
+    #[test]
+    fn what_a_table_was_made_from_outlives_a_crash() {
+        let place = tempfile::tempdir().unwrap();
+        let backend = open(place.path(), TableEngine::Sled, 1 << 20).unwrap();
+        let (id, journal) = (TableId { used: TableUse::Served, number: 1 }, Uuid::from_u128(7));
+        let table = backend.tables.create(id, journal).unwrap();
+        table.complete(journal).unwrap();
+        // As a crash leaves it: nothing is closed.
+        let crashed = tempfile::tempdir().unwrap();
+        for file in fs::read_dir(place.path().join("tiles-1")).unwrap().map(Result::unwrap) {
+            if file.path().is_file() {
+                fs::copy(file.path(), crashed.path().join(file.file_name())).unwrap();
+            }
+        }
+        let left = Sled::open(crashed.path(), 1 << 20).unwrap();
+        assert_eq!(left.db().get("journal").unwrap().unwrap(), &journal.as_bytes()[..]);
     }
 
     mod with_redb {

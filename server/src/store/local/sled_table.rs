@@ -72,7 +72,10 @@ impl TileTable for SledTable {
     }
 
     fn complete(&self, journal: Uuid) -> Result<(), Error> {
-        self.write(|| self.sled.db().insert(JOURNAL, &journal.as_bytes()[..]).map(drop))
+        self.write(|| {
+            self.sled.db().insert(JOURNAL, &journal.as_bytes()[..])?;
+            self.sled.db().flush().map(drop)
+        })
     }
 
     fn broken(&self) -> Option<String> {
