@@ -1,4 +1,4 @@
-//! From the values of [`echofix_core`] to the columns of the contract.
+//! From the values of [`echofix_core`] to the columns of the contract, and a tile's id back.
 //!
 //! Times on the wire are offsets from the enclosing message's reference time, so that they pack
 //! into few bytes.
@@ -6,11 +6,17 @@
 use echofix_core::convention::{Convention, Finding};
 use echofix_core::drive::GeoPose;
 use echofix_core::gate::Dropped;
+use echofix_core::geo::{TileId, Zone};
 use echofix_core::odometry::OdometryQuality;
 use echofix_core::own_error::MountSigma;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
 use echofix_proto::v1;
+
+/// A tile's id out of its message; `None` of a zone that is none.
+pub(crate) fn tile_id(message: &v1::TileId) -> Option<TileId> {
+    Some(TileId { zone: Zone::from_epsg(message.epsg).ok()?, x: message.x, y: message.y })
+}
 
 /// A mount as a message; metres and radians become `f32`.
 #[must_use]

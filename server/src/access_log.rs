@@ -31,7 +31,7 @@ impl NotedRoles {
     /// Notes it for a request that is told of.
     pub fn note<B>(request: &Request<B>, roles: Roles) {
         if let Some(CallSpan(span)) = request.extensions().get() {
-            export::note(span, "echofix.role", roles.to_string());
+            export::note(span, "echofix.role", roles);
         }
         if let Some(Self(noted)) = request.extensions().get() {
             // It is found out once.

@@ -3,6 +3,7 @@
 //!
 //! A thread of its own sends them. What a collector that is slow or away does not take is dropped: no call waits for it.
 
+use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -15,14 +16,13 @@ use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use opentelemetry_sdk::trace::{BatchSpanProcessor, SdkTracerProvider, SpanData, SpanExporter as Exporter};
+use serde::{Deserialize, Serialize};
 use tracing::Span;
 use tracing_opentelemetry::OpenTelemetrySpanExt;
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 use uuid::Uuid;
-
-use crate::config::TraceConfig;
 
 /// The target of spans that are exported and stand in no log line.
 pub const TARGET: &str = "export";
@@ -33,9 +33,28 @@ const SENT_WITHIN: Duration = Duration::from_secs(3);
 /// How long the end waits for the last spans to be sent.
 const FLUSHED_WITHIN: Duration = Duration::from_secs(1);
 
+/// Where spans of calls are sent.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TraceConfig {
+    /// A collector that takes OTLP over gRPC, `http://` and its address; empty: what the environment names.
+    pub otlp_endpoint: String,
+}
+
+impl TraceConfig {
+    /// The collector; empty without one.
+    #[must_use]
+    pub fn endpoint(&self) -> String {
+        if self.otlp_endpoint.is_empty() {
+            return std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").unwrap_or_default();
+        }
+        self.otlp_endpoint.clone()
+    }
+}
+
 static EXPORTING: AtomicBool = AtomicBool::new(false);
 
-/// Runs a part of a call's work in a span of its own, which is exported with it.
+/// The span of a part of a call's work, which is exported with it.
 macro_rules! part {
     ($name:literal) => {
         tracing::info_span!(target: $crate::export::TARGET, $name)
@@ -91,9 +110,11 @@ impl Exporting {
             .with_tracked_inactivity(false)
             .with_filter(ours)
     }
+}
 
-    /// Sends what is left, for no more than a second.
-    pub fn end(self) {
+/// Sends what is left, for no more than a second. The runtime that sends must still be there.
+impl Drop for Exporting {
+    fn drop(&mut self) {
         EXPORTING.store(false, Ordering::Relaxed);
         if let Err(error) = self.0.shutdown_with_timeout(FLUSHED_WITHIN) {
             tracing::warn!(%error, "the last spans were not exported");
@@ -110,9 +131,9 @@ pub(crate) fn continue_trace(span: &Span, headers: &HeaderMap) {
 }
 
 /// Notes how a call ended, or as what its caller is known.
-pub(crate) fn note(span: &Span, key: &'static str, value: String) {
+pub(crate) fn note(span: &Span, key: &'static str, value: impl Display) {
     if EXPORTING.load(Ordering::Relaxed) {
-        span.set_attribute(key, value);
+        span.set_attribute(key, value.to_string());
     }
 }
 

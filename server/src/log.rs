@@ -10,8 +10,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::access_log;
-use crate::config::{LogConfig, LogFormat, TraceConfig};
-use crate::export::{self, Exporting};
+use crate::config::{LogConfig, LogFormat};
+use crate::export::{self, Exporting, TraceConfig};
 
 /// Why nothing can be told.
 #[derive(Debug, thiserror::Error)]

@@ -53,9 +53,7 @@ fn run() -> Result<(), Box<dyn Error>> {
         log::init(&config.log, &config.trace)?
     };
     let served = runtime.block_on(run::serve(config, COMMIT, args.serve.addr_file.as_deref(), ended));
-    if let Some(exporting) = exporting {
-        exporting.end();
-    }
+    drop(exporting);
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

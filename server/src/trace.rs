@@ -109,7 +109,7 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, request: Request<B>) -> Self::Future {
+    fn call(&mut self, mut request: Request<B>) -> Self::Future {
         let id = request_id(request.headers());
         let (call, text) = (self.port.call(&request), id.to_str().unwrap_or_default());
         let span = match self.port {
@@ -117,15 +117,14 @@ where
             Port::Http => tracing::info_span!("http", call, request_id = text),
         };
         export::continue_trace(&span, request.headers());
-        let method = (self.port == Port::Http).then(|| usual_method(request.method())).flatten();
-        export::note(&span, "http.request.method", method.unwrap_or("POST").to_owned());
-        let mut request = request;
+        let method = usual_method(request.method()).unwrap_or("_OTHER");
+        export::note(&span, "http.request.method", method);
         request.extensions_mut().insert(CallSpan(span.clone()));
         let answer = span.in_scope(|| self.inner.call(request)).instrument(span.clone());
         let port = self.port;
         Box::pin(async move {
             let mut response = answer.await?;
-            export::note(&span, "http.response.status_code", response.status().as_str().to_owned());
+            export::note(&span, "http.response.status_code", response.status().as_str());
             if port == Port::Http && response.status().is_server_error() {
                 export::failed(&span, "server error");
             }

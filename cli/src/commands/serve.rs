@@ -51,9 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.addr_file.as_deref(),
         ended,
     ));
-    if let Some(exporting) = exporting {
-        exporting.end();
-    }
+    drop(exporting);
     runtime.shutdown_timeout(LAST_WORK);
     Ok(served?)
 }

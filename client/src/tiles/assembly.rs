@@ -1,9 +1,10 @@
 //! Tiles of the pieces they come in.
 
-use echofix_core::geo::{TileId, Zone};
+use echofix_core::geo::TileId;
 use echofix_proto::v1::{TileData, TilePiece};
 
 use super::Error;
+use crate::wire::tile_id;
 
 /// Bytes of an encoded tile, at most: a full one stays below.
 const MAX_TILE: u64 = 16 << 20;
@@ -28,7 +29,7 @@ impl Assembly {
             return Err(Error::Contract("a tile is larger than any can be"));
         }
         let version = data.version.ok_or(Error::Contract("a tile has no version"))?;
-        let id = version.tile.as_ref().and_then(id).ok_or(Error::Contract("a tile has no id"))?;
+        let id = version.tile.as_ref().and_then(tile_id).ok_or(Error::Contract("a tile has no id"))?;
         self.0 = Some((Whole { id, version: version.version, encoded: Vec::new() }, data.encoded_bytes));
         self.extend(data.encoded)
     }
@@ -56,11 +57,6 @@ impl Assembly {
             std::cmp::Ordering::Greater => Err(Error::Contract("a tile is longer than it says")),
         }
     }
-}
-
-/// A tile's id out of its message.
-pub(super) fn id(message: &echofix_proto::v1::TileId) -> Option<TileId> {
-    Some(TileId { zone: Zone::from_epsg(message.epsg).ok()?, x: message.x, y: message.y })
 }
 
 #[cfg(test)]

@@ -11,11 +11,12 @@ use echofix_proto::v1::map_service_client::MapServiceClient;
 use echofix_proto::v1::{GetTilesRequest, GetTilesResponse, TilesSummary};
 use tonic::Streaming;
 
-use super::assembly::{self, Assembly, Whole};
+use super::assembly::{Assembly, Whole};
 use super::name::{Form, TileVersionName};
 use super::{CacheInner, Error, TileCache, Want};
 use crate::refusal::CallError;
 use crate::service::{CallerChannel, ServiceEndpoint};
+use crate::wire::tile_id;
 
 /// The next message of an answer is waited for this long.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -74,7 +75,7 @@ impl TileCache {
         let requests = want.requests(form, &have);
         for held in requests.iter().flat_map(|request| &request.have) {
             // Before anything comes: what is wanted makes no room for what is wanted, too.
-            held.tile.as_ref().and_then(assembly::id).map(|id| self.inner.index().touch(id));
+            held.tile.as_ref().and_then(tile_id).map(|id| self.inner.index().touch(id));
         }
         let mut client = MapServiceClient::new(service.connect_lazy());
         let mut done = Synced::default();
@@ -82,7 +83,7 @@ impl TileCache {
             let summary = self.take(&mut client, (form, request), since, &mut done).await?;
             done.epoch = if done.epoch == 0 { summary.epoch } else { done.epoch.min(summary.epoch) };
             done.unchanged += summary.unchanged;
-            let absent: Vec<TileId> = summary.absent.iter().filter_map(assembly::id).collect();
+            let absent: Vec<TileId> = summary.absent.iter().filter_map(tile_id).collect();
             done.removed += self.on_disk(move |cache| cache.remove_all(&absent)).await?;
         }
         Ok(done)

@@ -7,10 +7,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::{fs, io};
 
 use echofix_core::demand::turn_of;
-use echofix_core::geo::{Grid, LatLon, TileId, Zone};
+use echofix_core::geo::{LatLon, TileId, Zone};
 use echofix_proto::v1::{GetCoverageResponse, UploadResponse};
 
 use crate::disk::write_durably;
+use crate::wire::tile_id;
 
 /// Tiles that are remembered, at most: some thousand kilometres of street.
 const MOST_TILES: usize = 200_000;
@@ -60,10 +61,7 @@ impl Demand {
     /// Learns from the answer to an upload. `today` is the UTC day, counted from the Unix epoch.
     pub fn learn(&self, answer: &UploadResponse, today: u16) {
         for tile in &answer.tiles {
-            let id = tile
-                .tile
-                .and_then(|id| Some(TileId { zone: Zone::from_epsg(id.epsg).ok()?, x: id.x, y: id.y }));
-            if let Some(id) = id {
+            if let Some(id) = tile.tile.as_ref().and_then(tile_id) {
                 self.set(id, tile.wanted_from_day, today);
             }
         }
@@ -72,7 +70,7 @@ impl Demand {
     /// Learns from the answer about the points of a route.
     pub fn learn_coverage(&self, route: &[LatLon], answer: &GetCoverageResponse, today: u16) {
         for (at, day) in route.iter().zip(&answer.wanted_from_day) {
-            if let Some(id) = tile_at(*at) {
+            if let Ok(id) = TileId::at(*at) {
                 self.set(id, *day, today);
             }
         }
@@ -80,7 +78,7 @@ impl Demand {
 
     /// The map seems to have changed here: an upload is wanted, of this place and those around it.
     pub fn surprise(&self, at: LatLon) {
-        if let Some(id) = tile_at(at) {
+        if let Ok(id) = TileId::at(at) {
             let mut days = self.lock();
             for near in id.with_neighbours() {
                 days.remove(&near);
@@ -146,11 +144,6 @@ impl Demand {
     }
 }
 
-fn tile_at(at: LatLon) -> Option<TileId> {
-    let grid = Grid::of(at).ok()?;
-    Some(TileId::of(grid.zone(), grid.project(at).ok()?))
-}
-
 fn parse(text: &str) -> Option<HashMap<TileId, u16>> {
     let mut lines = text.lines();
     if lines.next()? != HEAD {
@@ -187,7 +180,7 @@ mod tests {
     fn a_place_is_left_alone_until_its_day() {
         let dir = tempfile::tempdir().unwrap();
         let demand = demand(dir.path());
-        let id = tile_at(HERE).unwrap();
+        let id = TileId::at(HERE).unwrap();
         let other = TileId { x: id.x + 1, ..id };
         assert!(demand.wants([(id, 9)], 20_000), "nothing was said yet");
         demand.learn(&told(id, 20_014), 20_000);
@@ -211,7 +204,7 @@ mod tests {
     #[test]
     fn it_outlives_a_trip() {
         let dir = tempfile::tempdir().unwrap();
-        let (first, id) = (demand(dir.path()), tile_at(HERE).unwrap());
+        let (first, id) = (demand(dir.path()), TileId::at(HERE).unwrap());
         first.learn(&told(id, 20_014), 20_000);
         first.save().unwrap();
         assert_eq!(demand(dir.path()).wanted_from(id), first.wanted_from(id));

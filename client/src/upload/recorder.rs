@@ -5,10 +5,9 @@ use std::sync::Arc;
 use echofix_core::convention::{Finding, Inspection};
 use echofix_core::drive::GeoPose;
 use echofix_core::drive::segment::usable_segments;
-use echofix_core::evidence::TileEvidence;
 use echofix_core::evidence::build::{BuiltEvidence, Chunk, RawUpload, build_evidence};
 use echofix_core::gate::Dropped;
-use echofix_core::geo::{self, Grid, LatLon, MetresPerDegree, TileId, Zone, ground_distance_m};
+use echofix_core::geo::{self, MetresPerDegree, TileId, Zone, ground_distance_m};
 use echofix_core::odometry::{self, Trajectory};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::slices::slices;
@@ -322,7 +321,7 @@ impl Recorder {
                 upload.add(poses, scans);
             }
             let way = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
-            let tiles = way.filter_map(|pose| Some((tile_at(pose.at)?, 1)));
+            let tiles = way.filter_map(|pose| Some((TileId::at(pose.at).ok()?, 1)));
             return (upload.detections() > 0 && self.is_wanted(tiles, first_us)).then_some(upload);
         }
         let poses = raw.chunks.iter().flat_map(|chunk| &chunk.poses);
@@ -332,8 +331,7 @@ impl Recorder {
             Ok(BuiltEvidence { delta, dropped, .. }) => {
                 self.dropped.add(&dropped);
                 upload.add_evidence(&delta, sigmas);
-                let hits = |evidence: &TileEvidence| evidence.cells.iter().map(|c| u64::from(c.hits)).sum();
-                let tiles = delta.tiles.iter().map(|(id, evidence)| (*id, hits(evidence)));
+                let tiles = delta.tiles.iter().map(|(id, evidence)| (*id, evidence.detections()));
                 self.is_wanted(tiles, first_us).then_some(upload)
             }
             // Poses were checked as they came: what fails here has nothing to map.
@@ -384,11 +382,6 @@ fn take_within(scans: &mut Vec<Scan>, segment: &[GeoPose]) -> Vec<Scan> {
     let from = scans.partition_point(|s| s.time_us < first.time_us);
     let to = scans.partition_point(|s| s.time_us <= last.time_us);
     scans.drain(from..to.max(from)).collect()
-}
-
-fn tile_at(at: LatLon) -> Option<TileId> {
-    let grid = Grid::of(at).ok()?;
-    Some(TileId::of(grid.zone(), grid.project(at).ok()?))
 }
 
 /// Metres between two poses that are near each other.

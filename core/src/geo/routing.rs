@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Error, Grid, LatLon, TileId};
+use super::{Error, LatLon, TileId};
 
 /// Tiles along the side of a routing region.
 const TILES: i32 = 128;
@@ -22,8 +22,7 @@ impl RoutingRegion {
     /// # Errors
     /// When the position lies outside of UTM's latitudes.
     pub fn of(at: LatLon) -> Result<Self, Error> {
-        let grid = Grid::of(at)?;
-        let tile = TileId::of(grid.zone(), grid.project(at)?);
+        let tile = TileId::at(at)?;
         Ok(Self { epsg: tile.zone.epsg(), x: tile.x.div_euclid(TILES), y: tile.y.div_euclid(TILES) })
     }
 }

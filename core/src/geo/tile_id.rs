@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Error, Zone};
+use super::{Error, Grid, LatLon, Zone};
 use crate::point::MapPoint;
 
 /// Side of a cell, metres (paper, Sec. "Test procedure").
@@ -50,6 +50,15 @@ pub struct TileId {
 }
 
 impl TileId {
+    /// The tile that holds a position, in the zone of its longitude.
+    ///
+    /// # Errors
+    /// When the position lies outside of UTM's latitudes.
+    pub fn at(position: LatLon) -> Result<Self, Error> {
+        let grid = Grid::of(position)?;
+        Ok(Self::of(grid.zone(), grid.project(position)?))
+    }
+
     /// The tile that holds a point on the map of a zone.
     #[must_use]
     pub fn of(zone: Zone, point: MapPoint) -> Self {

@@ -2,7 +2,8 @@
 
 use tracing_subscriber::EnvFilter;
 
-use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig, TraceConfig};
+use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
+use crate::export::TraceConfig;
 use crate::grpc::INTEGRITY_RISKS;
 use crate::http::{is_base_path, is_origin};
 use crate::identity::{self, RatesConfig};

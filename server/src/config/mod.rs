@@ -13,6 +13,7 @@ use axum::http::HeaderValue;
 use echofix_core::vetting::alarm::AlarmLimits;
 use serde::{Deserialize, Serialize};
 
+use crate::export::TraceConfig;
 use crate::identity::{self, Gate, IdentityConfig, RatesConfig, TlsConfig};
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
@@ -315,25 +316,6 @@ impl LimitsConfig {
     #[must_use]
     pub fn handshake(&self) -> Duration {
         Duration::from_secs(self.handshake_s)
-    }
-}
-
-/// Where spans of calls are sent.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TraceConfig {
-    /// A collector that takes OTLP over gRPC, `http://` and its address; empty: what the environment names.
-    pub otlp_endpoint: String,
-}
-
-impl TraceConfig {
-    /// The collector; empty without one.
-    #[must_use]
-    pub fn endpoint(&self) -> String {
-        if self.otlp_endpoint.is_empty() {
-            return std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").unwrap_or_default();
-        }
-        self.otlp_endpoint.clone()
     }
 }
 

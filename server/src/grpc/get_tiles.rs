@@ -203,7 +203,7 @@ fn ids(ids: &[v1::TileId], field: &str) -> Result<Vec<TileId>, InvalidField> {
     ids.iter().enumerate().map(|(row, tile)| id(tile, &format!("{field}[{row}]"))).collect()
 }
 
-fn id(id: &v1::TileId, field: &str) -> Result<TileId, InvalidField> {
+pub(super) fn id(id: &v1::TileId, field: &str) -> Result<TileId, InvalidField> {
     let zone = Zone::from_epsg(id.epsg).map_err(|error| InvalidField::new(format!("{field}.epsg"), error))?;
     Ok(TileId { zone, x: id.x, y: id.y })
 }

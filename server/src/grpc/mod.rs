@@ -164,12 +164,6 @@ pub(crate) fn now_us() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_micros() as i64)
 }
 
-/// The tile of a message that the service made itself.
-pub(crate) fn core_tile_id(id: &v1::TileId) -> Option<echofix_core::geo::TileId> {
-    let zone = echofix_core::geo::Zone::from_epsg(id.epsg).ok()?;
-    Some(echofix_core::geo::TileId { zone, x: id.x, y: id.y })
-}
-
 /// A tile id as it is on the wire.
 pub(crate) fn tile_id(id: echofix_core::geo::TileId) -> v1::TileId {
     v1::TileId { epsg: u32::from(id.zone.epsg()), x: id.x, y: id.y }

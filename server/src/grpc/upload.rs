@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use super::access::Counted;
 use super::invalid_field::InvalidField;
-use super::{blocking, core_tile_id, now_us, status, tile_id};
+use super::{blocking, get_tiles, now_us, status, tile_id};
 use crate::export::part;
 use crate::feed::{Feed, UploadEvent};
 use crate::lanes::Lanes;
@@ -141,7 +141,7 @@ impl MappingApi {
             return;
         }
         for contribution in &mut response.tiles {
-            let id = contribution.tile.as_ref().and_then(core_tile_id);
+            let id = contribution.tile.as_ref().and_then(|tile| get_tiles::id(tile, "tile").ok());
             // What cannot be read now is wanted.
             let tile = id.and_then(|id| self.store.tile(id).ok().flatten());
             contribution.wanted_from_day =

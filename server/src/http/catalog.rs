@@ -11,12 +11,11 @@ use serde::Deserialize;
 
 use super::App;
 use super::answers::{
-    BuildingAnswer, ErrorAnswer, MapAnswer, PassCount, ProgressAnswer, TileAnswer, TotalsAnswer,
-    WaitingAnswer, ZoneAnswer,
+    BUSY, BuildingAnswer, ErrorAnswer, MapAnswer, NO_SUCH_EPOCH, PassCount, ProgressAnswer, TileAnswer,
+    TotalsAnswer, WaitingAnswer, ZoneAnswer,
 };
 use super::day::iso_date;
 use super::error::Error;
-use super::openapi::BUSY;
 use super::operations::fresh;
 use super::past::{EpochParameter, EpochQuery, Shown};
 use super::raster::corners;
@@ -35,7 +34,7 @@ use crate::store::{MapProgress, MapStatus, MapStore, StoredTile};
     responses(
         (status = 200, description = "The map.", body = MapAnswer),
         (status = 400, description = "Not an epoch.", body = ErrorAnswer),
-        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 404, description = NO_SUCH_EPOCH, body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]
@@ -123,9 +122,7 @@ pub async fn tile_at(
     epoch: EpochParameter,
 ) -> Result<Response, Error> {
     let Query(PositionQuery { lat, lon }) = at?;
-    let at = LatLon { lat_deg: lat, lon_deg: lon };
-    let grid = Grid::of(at)?;
-    let id = TileId::of(grid.zone(), grid.project(at)?);
+    let id = TileId::at(LatLon { lat_deg: lat, lon_deg: lon })?;
     described(&app, peer, id, epoch).await
 }
 

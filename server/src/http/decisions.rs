@@ -13,12 +13,13 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::App;
-use super::answers::{DecidedAnswer, ErrorAnswer, PreviewAnswer, TakenAndGiven};
+use super::answers::{
+    BUSY, DECIDED, DecidedAnswer, ErrorAnswer, MALFORMED, NO_SUCH_EPOCH, PreviewAnswer, TakenAndGiven,
+};
 use super::catalog::progress_answer;
 use super::contributor::parse_hash;
 use super::day::parse_date;
 use super::error::Error;
-use super::openapi::BUSY;
 use super::operations::{audit, decision, difference, fresh, work};
 use crate::identity::Caller;
 use crate::shares::Peer;
@@ -49,9 +50,9 @@ pub struct RollbackBody {
     description = "",
     request_body = RollbackBody,
     responses(
-        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
-        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 200, description = DECIDED, body = DecidedAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
+        (status = 404, description = NO_SUCH_EPOCH, body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]
@@ -96,8 +97,8 @@ pub struct RevokeBody {
     description = "",
     request_body = RevokeBody,
     responses(
-        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 200, description = DECIDED, body = DecidedAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
         (status = 404, description = "There is nothing of it that is not compacted.", body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
@@ -157,8 +158,8 @@ pub struct UndoBody {
     description = "",
     request_body = UndoBody,
     responses(
-        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 200, description = DECIDED, body = DecidedAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
         (status = 404, description = "No decision that is in effect, or what it took back is compacted.", body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
@@ -199,8 +200,8 @@ pub struct CompactBody {
     description = "",
     request_body = CompactBody,
     responses(
-        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 200, description = DECIDED, body = DecidedAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]
@@ -226,8 +227,8 @@ pub async fn compact(
     description = "",
     request_body = CompactBody,
     responses(
-        (status = 200, description = "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.", body = DecidedAnswer),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 200, description = DECIDED, body = DecidedAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]

@@ -9,9 +9,8 @@ use echofix_core::geo::{Grid, TILE_M, TileId};
 use echofix_core::pose::{Pose2, wrap_axis};
 
 use super::App;
-use super::answers::{ErrorAnswer, ExpectedFixAnswer, LocalizabilityAnswer};
+use super::answers::{BUSY, ErrorAnswer, ExpectedFixAnswer, LocalizabilityAnswer};
 use super::error::Error;
-use super::openapi::BUSY;
 use super::operations::fresh;
 use crate::locating::{Expectations, SPOTS_PER_SIDE, expected_word};
 use crate::patience::Patience;

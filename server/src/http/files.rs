@@ -23,10 +23,9 @@ use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
 
 use super::App;
-use super::answers::{ErrorAnswer, ImportedAnswer};
+use super::answers::{BUSY, ErrorAnswer, ImportedAnswer};
 use super::error::Error;
 use super::meridians::Meridians;
-use super::openapi::BUSY;
 use super::operations::{audit, decision, fresh};
 use super::raster::corners;
 use super::region_days::DatedRegion;

@@ -7,9 +7,8 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::App;
-use super::answers::{ErrorAnswer, TileJsonAnswer};
+use super::answers::{BUSY, ErrorAnswer, TileJsonAnswer};
 use super::error::Error;
-use super::openapi::BUSY;
 use super::outside::Outside;
 use super::past::{EpochParameter, EpochQuery};
 use super::raster::{Artist, Layer, MAX_ZOOM, View, legend};

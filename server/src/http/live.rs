@@ -16,9 +16,8 @@ use tokio::time::{Instant, interval_at};
 use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
-use super::answers::{ErrorAnswer, FixesAnswer, MissedEvent, UploadsAnswer};
+use super::answers::{BUSY, ErrorAnswer, FixesAnswer, MissedEvent, UploadsAnswer};
 use super::error::Error;
-use super::openapi::BUSY;
 use super::operations::fresh;
 use super::{App, catalog, probes};
 use crate::event_log::{EventLog, NumberedEvent};

@@ -21,9 +21,6 @@ use crate::feed::QuarantineEvent;
 use crate::identity::COOKIE;
 use crate::identity::access::{self, Access, Call};
 
-/// Why a request is refused that may be sent again in a second.
-pub(super) const BUSY: &str = "All permits of this kind are taken, or the map is being rebuilt; `Retry-After` says when to \
-    ask again.";
 /// Where the least role of an operation stands.
 const LEAST_ROLE: &str = "x-least-role";
 /// What the addresses of the document are relative to, until somebody asks for it.

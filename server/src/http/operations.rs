@@ -12,13 +12,12 @@ use serde::{Deserialize, Serialize};
 
 use super::App;
 use super::answers::{
-    Cells, DiffAnswer, DifferenceAnswer, ErrorAnswer, EventAnswer, Happened, HistoryAnswer, RemarkedAnswer,
-    TileDifference, VerifiedAnswer,
+    BUSY, Cells, DiffAnswer, DifferenceAnswer, ErrorAnswer, EventAnswer, Happened, HistoryAnswer,
+    NO_SUCH_EPOCH, RemarkedAnswer, TileDifference, VerifiedAnswer,
 };
 use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
-use super::openapi::BUSY;
 use super::raster::corners;
 use crate::identity::Caller;
 use crate::shares::Peer;
@@ -118,7 +117,7 @@ pub struct DiffQuery {
     responses(
         (status = 200, description = "The difference.", body = DiffAnswer),
         (status = 400, description = "Not two epochs.", body = ErrorAnswer),
-        (status = 404, description = "An epoch that is compacted or has not come yet.", body = ErrorAnswer),
+        (status = 404, description = NO_SUCH_EPOCH, body = ErrorAnswer),
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]

@@ -14,11 +14,10 @@ use serde_json::{Value, json};
 use uuid::Uuid;
 
 use super::App;
-use super::answers::{AlarmAnswer, ErrorAnswer, QuarantineAnswer};
+use super::answers::{AlarmAnswer, BUSY, ErrorAnswer, QuarantineAnswer};
 use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
-use super::openapi::BUSY;
 use super::operations::fresh;
 use crate::feed::{MapOffset, Place, QuarantineEvent};
 use crate::shares::Peer;

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::answers::{CallerAnswer, ErrorAnswer};
+use super::answers::{CallerAnswer, ErrorAnswer, MALFORMED};
 use super::error::Error;
 use super::outside::Outside;
 use crate::identity::{Caller, CookieScope, Peer, Role};
@@ -55,7 +55,7 @@ pub async fn who(Extension(caller): Extension<Arc<Caller>>) -> Response {
     request_body = SessionBody,
     responses(
         (status = 200, description = "Signed in: the cookie `echofix_session` stands for the token from now on.", body = CallerAnswer, headers(("set-cookie" = String, description = "The session."))),
-        (status = 400, description = "Not what is asked for.", body = ErrorAnswer),
+        (status = 400, description = MALFORMED, body = ErrorAnswer),
         (status = 401, description = "The token is not known.", body = ErrorAnswer),
     )
 )]

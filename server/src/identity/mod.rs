@@ -9,6 +9,7 @@
 //! - [`tls`]: certificate, key, authority and revocations, checked and made into rustls's configuration.
 //! - [`config`]: the sections `[tls]` and `[identity]`.
 //! - [`jwt`]: tokens of an issuer, its keys, and what its claims stand for.
+//! - [`keys_kept`]: that issuer's keys are asked for again.
 //! - [`peer`]: the other end of a connection.
 //! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
 //! - [`rates`]: how often a caller may ask.
@@ -20,6 +21,7 @@ mod certificate;
 mod config;
 mod gate;
 mod jwt;
+mod keys_kept;
 mod peer;
 mod rates;
 mod reload;
@@ -32,7 +34,8 @@ pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
 pub use gate::{CookieScope, Gate, Refusal};
-pub use jwt::{Lease, keep_keys};
+pub use jwt::Lease;
+pub use keys_kept::keep as keep_keys;
 pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;

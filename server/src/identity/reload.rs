@@ -21,30 +21,35 @@ pub async fn keep(gate: Arc<Gate>, metrics: Arc<Metrics>) {
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        let again = Arc::clone(&gate);
-        let refreshed = match tokio::task::spawn_blocking(move || again.refresh()).await {
-            Ok(refreshed) => refreshed.map_err(|error| error.to_string()),
-            Err(error) => Err(error.to_string()),
-        };
-        match refreshed {
-            Ok((changed, ended)) => {
-                if changed {
-                    tracing::info!("certificates and tokens were read again");
-                    tell(&gate, &metrics);
-                }
-                if ended > 0 {
-                    tracing::info!(ended, "closed connections whose certificate or token no longer passes");
-                }
+        refresh(&gate, &metrics).await;
+    }
+}
+
+/// Reads again, and tells what came of it.
+pub(super) async fn refresh(gate: &Arc<Gate>, metrics: &Metrics) {
+    let again = Arc::clone(gate);
+    let refreshed = match tokio::task::spawn_blocking(move || again.refresh()).await {
+        Ok(refreshed) => refreshed.map_err(|error| error.to_string()),
+        Err(error) => Err(error.to_string()),
+    };
+    match refreshed {
+        Ok((changed, ended)) => {
+            if changed {
+                tracing::info!("certificates and tokens were read again");
+                tell(gate, metrics);
             }
-            Err(error) => {
-                metrics.tls_reload_failures.inc();
-                if let Some(left_out) = sparse::line("certificates cannot be read again") {
-                    tracing::error!(
-                        error,
-                        left_out,
-                        "certificates or tokens cannot be used; the last good ones stay"
-                    );
-                }
+            if ended > 0 {
+                tracing::info!(ended, "closed connections whose certificate or token no longer passes");
+            }
+        }
+        Err(error) => {
+            metrics.tls_reload_failures.inc();
+            if let Some(left_out) = sparse::line("certificates cannot be read again") {
+                tracing::error!(
+                    error,
+                    left_out,
+                    "certificates or tokens cannot be used; the last good ones stay"
+                );
             }
         }
     }

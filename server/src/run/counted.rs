@@ -115,7 +115,7 @@ impl CountedCall {
     fn count(&mut self, code: &'static str) {
         if !std::mem::replace(&mut self.over, true) {
             if let Some(span) = self.span.take() {
-                export::note(&span, "rpc.grpc.status_code", code.to_owned());
+                export::note(&span, "rpc.grpc.status_code", code);
                 if code != word(Code::Ok) {
                     export::failed(&span, code);
                 }

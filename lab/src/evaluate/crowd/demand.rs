@@ -5,11 +5,11 @@ use echofix_core::demand::DemandPolicy;
 use echofix_core::geo::TileId;
 use echofix_proto::v1::{self, TileContribution, UploadResponse};
 use echofix_sim::City;
-use echofix_sim::city::{Change, Plot};
+use echofix_sim::city::Change;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fixes::{Summary, fixes, right_pairs};
+use super::fixes::{Summary, fixes, ratio_p95, right_pairs};
 use super::map::CrowdMap;
 use super::town::{self, Way};
 use super::uploads::{SentForm, VehicleUpload, cut};
@@ -19,7 +19,7 @@ use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::MethodName;
 use crate::evaluate::record::EpochRecord;
-use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
+use crate::evaluate::statistics::bootstrap::Estimate;
 
 /// Vehicles, each of which drives every day.
 const VEHICLES: u64 = 5;
@@ -46,11 +46,9 @@ impl Fleet {
         // A vehicle learns after its drive what it is answered during it.
         let mut answers = Vec::new();
         for upload in uploads {
-            let hits = |(id, evidence): (&TileId, &echofix_core::evidence::TileEvidence)| {
-                (*id, evidence.cells.iter().map(|cell| u64::from(cell.hits)).sum())
-            };
+            let tiles = upload.delta.tiles.iter().map(|(id, evidence)| (*id, evidence.detections()));
             let demand = self.demands.get(who as usize);
-            if demand.is_some_and(|demand| !demand.wants(upload.delta.tiles.iter().map(hits), today)) {
+            if demand.is_some_and(|demand| !demand.wants(tiles, today)) {
                 continue;
             }
             self.sent[usize::from(day >= LEARNING_DAYS)] += 1;
@@ -86,12 +84,11 @@ impl Fleet {
 
 /// A building disappears, and another one is built, when the streets are known.
 fn changes(city: &City) -> Vec<Change> {
-    let streets = city.network().streets();
-    let plot = |street: usize, left| {
-        let middle_m = 0.5 * streets[street].length_m();
-        Plot { street, left, along_m: middle_m - 17.0..middle_m + 17.0 }
-    };
-    vec![Change::Demolished(plot(0, true), 25), Change::Built(plot(streets.len() / 2, false), 35)]
+    let middle = city.network().streets().len() / 2;
+    vec![
+        Change::Demolished(town::plot(city, 0, true), 25),
+        Change::Built(town::plot(city, middle, false), 35),
+    ]
 }
 
 /// All that is sent, and what is wanted, in one town over some days.
@@ -142,17 +139,15 @@ impl DemandLine {
     fn of(which: usize, towns: &[[Fleet; 2]]) -> Self {
         let pairs =
             |(number, town): (usize, &[Fleet; 2])| right_pairs(number, &town[which].fixes, &town[0].fixes);
-        let ratio = |pairs: &[_]| ratios(pairs, 0.95).map(|[p95, _]| p95);
-        let each: Vec<_> = towns.iter().enumerate().map(pairs).collect();
-        let worst = each.iter().filter_map(|pairs| ratio(pairs)).map(|ratio| ratio.value);
+        let (ratio, worst_ratio_p95) = ratio_p95(&towns.iter().enumerate().map(pairs).collect::<Vec<_>>());
         let rows: Vec<_> = towns.iter().flat_map(|town| town[which].fixes.clone()).collect();
         let sent = |part: usize| towns.iter().map(|town| town[which].sent[part]).sum();
         Self {
             rule: ["everything is sent", "what is wanted is sent"][which],
             uploads_learning: sent(0),
             uploads_after: sent(1),
-            ratio_p95: (which > 0).then(|| ratio(&each.concat())).flatten(),
-            worst_ratio_p95: worst.fold(f64::NAN, f64::max),
+            ratio_p95: ratio.filter(|_| which > 0),
+            worst_ratio_p95,
             summary: Summary::of(&rows),
         }
     }

@@ -12,6 +12,7 @@ use crate::evaluate::map::RadarMap;
 use crate::evaluate::method::{MethodName, Windows};
 use crate::evaluate::record::EpochRecord;
 use crate::evaluate::run::{EvaluationPlan, run};
+use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
 use crate::evaluate::world::{EvaluationWorld, grid_of};
 use echofix_harness::percentiles::Percentiles;
 
@@ -58,6 +59,13 @@ pub type ErrorPair = ((f64, f64), (usize, usize));
 pub fn right_pairs(town: usize, fixes: &[EpochRecord], others: &[EpochRecord]) -> Vec<ErrorPair> {
     let right = fixes.iter().zip(others).filter(|(ours, other)| !ours.wrong() && !other.wrong());
     right.map(|(ours, other)| ((ours.error_m(), other.error_m()), (town, ours.block))).collect()
+}
+
+/// How the 95 % errors of fixes compare with those of others: the ratio over all towns, and in that town where it is largest.
+pub fn ratio_p95(towns: &[Vec<ErrorPair>]) -> (Option<Estimate>, f64) {
+    let ratio = |pairs: &[_]| ratios(pairs, 0.95).map(|[p95, _]| p95);
+    let each = towns.iter().filter_map(|pairs| ratio(pairs)).map(|ratio| ratio.value);
+    (ratio(&towns.concat()), each.fold(f64::NAN, f64::max))
 }
 
 /// A summary of many fixes.

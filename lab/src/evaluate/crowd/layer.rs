@@ -8,7 +8,7 @@ use echofix_core::tile::{self, Grain, Tile, decode_layer, encode_layer};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fixes::{Summary, fixes, right_pairs};
+use super::fixes::{Summary, fixes, ratio_p95, right_pairs};
 use super::map::CrowdMap;
 use super::town::{self, Way};
 use super::uploads::{SentForm, cut};
@@ -18,7 +18,7 @@ use crate::evaluate::condition::Experiment;
 use crate::evaluate::map::{MapKey, Movers, RadarMap};
 use crate::evaluate::method::MethodName;
 use crate::evaluate::record::EpochRecord;
-use crate::evaluate::statistics::bootstrap::{Estimate, ratios};
+use crate::evaluate::statistics::bootstrap::Estimate;
 
 /// Numbers of contributors to a map. A cell is served with the support of all of them, of three at most.
 const CONTRIBUTORS: [u64; 2] = [1, 5];
@@ -139,16 +139,14 @@ impl LayerLine {
             let [ours, whole] = [which, 0].map(|form| &town.worths[crowd][form].fixes);
             right_pairs(number, ours, whole)
         };
-        let ratio = |pairs: &[_]| ratios(pairs, 0.95).map(|[p95, _]| p95);
-        let each: Vec<_> = towns.iter().enumerate().map(pairs).collect();
-        let worst = each.iter().filter_map(|pairs| ratio(pairs)).map(|ratio| ratio.value);
+        let (ratio, worst_ratio_p95) = ratio_p95(&towns.iter().enumerate().map(pairs).collect::<Vec<_>>());
         let rows: Vec<_> = towns.iter().flat_map(|town| town.worths[crowd][which].fixes.clone()).collect();
         Self {
             contributors: CONTRIBUTORS[crowd],
             form: FORMS[which].words(),
             kilobytes_a_km: bytes as f64 / 1e3 / street_km,
-            ratio_p95: (which > 0).then(|| ratio(&each.concat())).flatten(),
-            worst_ratio_p95: worst.fold(f64::NAN, f64::max),
+            ratio_p95: ratio.filter(|_| which > 0),
+            worst_ratio_p95,
             summary: Summary::of(&rows),
         }
     }

@@ -2,6 +2,7 @@
 
 use echofix_core::drive::Drive;
 use echofix_core::time::DAY_US;
+use echofix_sim::city::Plot;
 use echofix_sim::{City, CityParams, Route, downtown};
 
 use crate::evaluate::simulated;
@@ -16,6 +17,12 @@ const WAY_M: f64 = 900.0;
 pub fn small(seed: u64) -> anyhow::Result<City> {
     let params = CityParams { blocks_x: 2, blocks_y: 2, ..downtown::city(seed) };
     Ok(City::generate(&params)?)
+}
+
+/// The middle 34 m of a side of a street.
+pub fn plot(city: &City, street: usize, left: bool) -> Plot {
+    let middle_m = 0.5 * city.network().streets()[street].length_m();
+    Plot { street, left, along_m: middle_m - 17.0..middle_m + 17.0 }
 }
 
 /// The route of a vehicle.

@@ -3,7 +3,7 @@
 use echofix_core::drive::Drive;
 use echofix_core::geo::Zone;
 use echofix_sim::City;
-use echofix_sim::city::{Change, Plot};
+use echofix_sim::city::Change;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -51,15 +51,10 @@ impl Calendar {
 
 /// The changes of a town: a building disappears, another one is built, and a street is a building site for four months.
 fn changes(city: &City) -> Vec<Change> {
-    let streets = city.network().streets();
-    let plot = |street: usize, left| {
-        let middle_m = 0.5 * streets[street].length_m();
-        Plot { street, left, along_m: middle_m - 17.0..middle_m + 17.0 }
-    };
-    let last = streets.len() - 1;
+    let last = city.network().streets().len() - 1;
     vec![
-        Change::Demolished(plot(0, true), 90),
-        Change::Built(plot(last / 2, false), 150),
+        Change::Demolished(town::plot(city, 0, true), 90),
+        Change::Built(town::plot(city, last / 2, false), 150),
         Change::Roadworks(last, 60..180),
     ]
 }

@@ -20,3 +20,14 @@ pub use service::{
     AlarmAnswer, AliveAnswer, CallerAnswer, ErrorAnswer, ErrorBody, FixesAnswer, MissedEvent, PartReadiness,
     QuarantineAnswer, ReadinessAnswer, ReadyAnswer, TileJsonAnswer, UploadsAnswer,
 };
+
+/// Why a request is refused that may be sent again in a second.
+pub const BUSY: &str = "All permits of this kind are taken, or the map is being rebuilt; `Retry-After` says when to \
+    ask again.";
+/// What a decision is answered with.
+pub const DECIDED: &str =
+    "It is on disk; the map shows it from its epoch on. Of a dry run: what it would change.";
+/// Why a body is refused.
+pub const MALFORMED: &str = "Not what is asked for.";
+/// Why a look at the past is refused.
+pub const NO_SUCH_EPOCH: &str = "An epoch that is compacted or has not come yet.";
