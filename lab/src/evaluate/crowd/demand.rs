@@ -168,8 +168,8 @@ impl DemandLine {
 /// # Errors
 /// When a town or a drive cannot be simulated.
 pub fn run(scale: &Scale) -> anyhow::Result<CrowdSection> {
-    let towns = scale.towns(3);
-    let (days, most) = if scale.quick { (30, 40) } else { (90, 120) };
+    let towns = scale.towns(2);
+    let (days, most) = if scale.quick { (30, 40) } else { (45, 250) };
     let all: Vec<_> = towns.iter().map(|seed| town(*seed, days, most)).collect::<anyhow::Result<_>>()?;
     let lines: Vec<_> = (0..2).map(|which| DemandLine::of(which, &all)).collect();
     let columns = [
