@@ -4,12 +4,16 @@
 //! - [`issuer`]: tokens of all kinds, good and bad.
 //! - [`site`]: a service that asks who calls, and its callers.
 //! - [`calls`]: everything that can be called, and who may.
+//! - [`profiles`]: services and callers under names.
+//! - [`rates`]: how often one may ask.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod authority;
 mod calls;
 mod issuer;
+mod profiles;
+mod rates;
 mod site;
 
 use std::time::Duration;
@@ -278,7 +282,7 @@ async fn browsers_sign_in_with_a_token() {
 /// Catches: a proxy's header that anybody may write, from the address it comes from.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_proxy_on_this_machine_tells_who_asks() {
-    let site = Site::behind_a_proxy("x-echofix-caller");
+    let site = Site::behind_a_proxy("x-echofix-caller", &[]);
     let read = Call::http("GET", "/api/v1/map");
     let told = |value: &str| Caller::header(&site, "x-echofix-caller", value);
     assert_eq!(site.outcome(&told("viewer/alice"), &read).await, Outcome::Admitted);
