@@ -353,6 +353,8 @@ fn rates(rates: RatesConfig) -> Vec<Rule> {
     vec![
         ("rates.localize_per_s", rates.localize_per_s <= 1_000_000, most),
         ("rates.upload_per_min", rates.upload_per_min <= 1_000_000, most),
+        ("rates.http_per_s", rates.http_per_s <= 1_000_000, most),
+        ("rates.http_address_per_s", rates.http_address_per_s <= 1_000_000, most),
     ]
 }
 

@@ -1,6 +1,7 @@
 //! Why a request was not answered, and how that is said over HTTP.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::rejection::{JsonRejection, QueryRejection};
@@ -50,6 +51,14 @@ pub enum Error {
         /// Longest address that is served, bytes.
         limit: usize,
     },
+    /// The caller, or its address, asks too often.
+    #[error("{who} asks too often; try again in {} s", whole_seconds(*.wait))]
+    TooOften {
+        /// Who.
+        who: &'static str,
+        /// When to come again.
+        wait: Duration,
+    },
     /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
     Saturated(&'static str),
@@ -91,6 +100,7 @@ impl Error {
             Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
             Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
+            Self::TooOften { .. } => StatusCode::TOO_MANY_REQUESTS,
             Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
             Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
@@ -117,6 +127,7 @@ impl Error {
             Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
             Self::Refused(Refusal::Forbidden { .. }) => "role_missing",
             Self::AddressTooLong { .. } => "address_too_long",
+            Self::TooOften { .. } => "too_often",
             Self::Saturated(_) => "saturated",
             Self::TooSlow(_) => "too_slow",
             Self::Spool(_) => "no_room",
@@ -133,6 +144,11 @@ impl Error {
     }
 }
 
+/// As `Retry-After` takes them: not before the time has come.
+fn whole_seconds(wait: Duration) -> u64 {
+    wait.as_secs_f64().ceil().max(1.0) as u64
+}
+
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
         let status = self.status();
@@ -141,6 +157,10 @@ impl IntoResponse for Error {
         {
             tracing::error!(error = %self, left_out, "request failed");
         }
+        let wait = match &self {
+            Self::TooOften { wait, .. } => Some(whole_seconds(*wait)),
+            _ => (status == StatusCode::SERVICE_UNAVAILABLE).then_some(1),
+        };
         let body = Json(ErrorAnswer { error: ErrorBody { code: self.code(), message: self.to_string() } });
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
@@ -150,8 +170,8 @@ impl IntoResponse for Error {
             headers.insert(header::WWW_AUTHENTICATE, challenge);
         }
         // Which methods a route has, the router says itself.
-        if status == StatusCode::SERVICE_UNAVAILABLE {
-            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+        if let Some(wait) = wait {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from(wait));
         }
         response
     }

@@ -70,7 +70,7 @@ use tower::util::MapRequestLayer;
 use crate::access_log::AccessLogLayer;
 use crate::feed::Feed;
 use crate::health::Health;
-use crate::identity::Gate;
+use crate::identity::{Gate, Rates, RatesConfig};
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::port::Port;
@@ -134,20 +134,21 @@ struct App {
     past: past::PastMaps,
     limiter: limits::Limiter,
     gate: Arc<Gate>,
+    rates: Arc<Rates>,
 }
 
 /// The routes, whatever name they are asked for by, and by whomever.
 pub fn router(state: HttpState) -> Router {
-    router_at(state, Place::any(), Arc::new(Gate::open()))
+    router_at(state, Place::any(), (Arc::new(Gate::open()), Arc::new(Rates::of(&RatesConfig::default()))))
 }
 
 /// The routes of a port, ready to be served.
-pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
+pub fn router_at(state: HttpState, place: Place, (gate, rates): (Arc<Gate>, Arc<Rates>)) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let (past, limiter) =
         (past::PastMaps::new(state.address_share), limits::Limiter::of_port(state.address_share));
-    let app = Arc::new(App { state, artist, past, limiter, gate });
+    let app = Arc::new(App { state, artist, past, limiter, gate, rates });
     let (cors, base_path) = (place.origins.layer(), place.base_path.clone());
     let routes = routes()
         .into_iter()

@@ -88,7 +88,7 @@ impl Modify for Common {
         for (path, item) in &mut document.paths.paths {
             for (method, operation) in operations_of(item) {
                 if let Some(access) = access::of(Call::Http(method, &route_of(path))) {
-                    described(operation, access);
+                    described(operation, path, access);
                 }
             }
         }
@@ -121,7 +121,7 @@ fn operations_of(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mu
 }
 
 /// Says who may ask, and how those are answered who may not.
-fn described(operation: &mut Operation, access: Access) {
+fn described(operation: &mut Operation, path: &str, access: Access) {
     operation.description = operation.description.take().filter(|text| !text.is_empty());
     let known = || {
         ["token", "session", "certificate"].map(|name| SecurityRequirement::new(name, Vec::<String>::new()))
@@ -143,6 +143,9 @@ fn described(operation: &mut Operation, access: Access) {
         operation.extensions.get_or_insert_default().merge(extension);
         told("401", "Who asks is not known.");
         told("403", "The caller's role is not enough, or a page of another origin asks.");
+    }
+    if path != "/healthz" && path != "/readyz" {
+        told("429", "The caller, or its address, asks too often; `Retry-After` says when to ask again.");
     }
     told("414", "The address is longer than 1024 bytes.");
     told("default", "Any other refusal or failure.");

@@ -268,6 +268,13 @@ impl Gate {
         Some(Caller { name, roles, known: Known::Token, address, lease: None })
     }
 
+    /// Whether the address of a connection stands for those who call by it: not where nobody is asked, and not a proxy's.
+    #[must_use]
+    pub fn counts(&self, peer: Option<&Peer>) -> bool {
+        let proxy = !self.identity.proxy_header.is_empty() && peer.is_some_and(Peer::is_local);
+        self.strangers != Strangers::Unasked && !proxy
+    }
+
     /// What a proxy on this machine says; anybody else's header says nothing.
     fn told_by_proxy<'a>(
         &self,
@@ -275,8 +282,7 @@ impl Gate {
         headers: &'a HeaderMap,
     ) -> Option<Result<(Role, &'a str), Refusal>> {
         let header = &self.identity.proxy_header;
-        let local = peer.is_some_and(|peer| peer.address.ip().to_canonical().is_loopback());
-        if header.is_empty() || !local {
+        if header.is_empty() || !peer.is_some_and(Peer::is_local) {
             return None;
         }
         let mut values = headers.get_all(header.as_str()).iter();

@@ -57,6 +57,11 @@ impl Peer {
         (Self { address, encrypted, certificate, tokens, over, close }, closing)
     }
 
+    /// Whether it is on this machine.
+    pub(super) fn is_local(&self) -> bool {
+        self.address.ip().to_canonical().is_loopback()
+    }
+
     /// Who its certificate is for; `None` without one.
     pub(super) fn subject(&self) -> Option<&Result<Subject, String>> {
         self.certificate.as_ref().map(|certificate| &certificate.subject)

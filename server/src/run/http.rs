@@ -25,7 +25,7 @@ use crate::port::Port;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, .. } = shared;
+    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, rates, .. } = shared;
     let limits = &config.limits;
     let counted = metrics.clone();
     let builder = builder(limits);
@@ -45,7 +45,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         ending: ending.clone(),
     };
     let routes = match listener.local_addr() {
-        Ok(bound) => router_at(state, place(bound, &config.http), gate.clone()),
+        Ok(bound) => router_at(state, place(bound, &config.http), (gate.clone(), rates)),
         Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
     };
     let routes = TowerToHyperService::new(routes);
