@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
@@ -86,6 +86,8 @@ impl Credentials {
     /// # Errors
     /// When a file cannot be read or used, or a token would go to another machine readable.
     pub fn agent(&self, url: &str, patience: Duration) -> anyhow::Result<ureq::Agent> {
+        let by_socket = "the operators' port of a service is asked by http:// or https://; a unix socket of it is for a proxy";
+        ensure!(!url.starts_with("unix:"), by_socket);
         let mut tls = TlsConfig::builder();
         if url.starts_with("https://") {
             if let Some(ca) = &self.ca {

@@ -6,7 +6,7 @@
 //! - [`pace`]: how slowly a peer may send.
 //! - [`patience`]: how long a caller waits for blocking work.
 //! - [`lanes`]: which threads do what, and which of them come first.
-//! - [`port`]: the two ports.
+//! - [`port`]: the two ports; [`listen`]: where they listen.
 //! - [`shares`]: pools of which no peer can take all.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
@@ -35,6 +35,7 @@ pub mod health;
 pub mod http;
 pub mod identity;
 pub mod lanes;
+pub mod listen;
 pub mod locating;
 pub mod log;
 pub mod mapping;

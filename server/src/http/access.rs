@@ -12,7 +12,7 @@ use super::App;
 use super::error::Error;
 use crate::access_log::NotedRoles;
 use crate::identity::access::{Call, methods};
-use crate::identity::{Peer, Rated, Refusal};
+use crate::identity::{RemoteEnd, Rated, Refusal};
 use crate::shares;
 
 /// What load balancers ask, however often.
@@ -29,7 +29,7 @@ pub async fn guard(State(app): State<Arc<App>>, mut request: Request, next: Next
         return next.run(request).await;
     };
     let call = Call::Http(request.method().as_str(), route.as_str());
-    let peer = request.extensions().get::<Arc<Peer>>().map(Arc::as_ref);
+    let peer = request.extensions().get::<Arc<RemoteEnd>>().map(Arc::as_ref);
     match app.gate.admit(call, peer, request.headers()) {
         Ok(caller) => {
             if !probe && let Err(wait) = app.rates.count(Rated::Http, &caller) {
@@ -53,7 +53,7 @@ pub async fn guard(State(app): State<Arc<App>>, mut request: Request, next: Next
 fn counted(app: &App, request: &Request) -> Result<(), Error> {
     let extensions = request.extensions();
     let address = extensions.get::<shares::Peer>().copied();
-    let end = extensions.get::<Arc<Peer>>().map(Arc::as_ref);
+    let end = extensions.get::<Arc<RemoteEnd>>().map(Arc::as_ref);
     match address.filter(|_| app.gate.counts(end)) {
         Some(address) => {
             let count = app.rates.count_address(address);

@@ -15,7 +15,7 @@ use super::App;
 use super::answers::{CallerAnswer, ErrorAnswer, MALFORMED};
 use super::error::Error;
 use super::outside::Outside;
-use crate::identity::{Caller, CookieScope, Peer, Role};
+use crate::identity::{Caller, CookieScope, RemoteEnd, Role};
 
 /// With what a browser signs in.
 #[derive(Deserialize, ToSchema)]
@@ -26,7 +26,7 @@ pub struct SessionBody {
     token: String,
 }
 
-type OnPeer = Option<Extension<Arc<Peer>>>;
+type OnPeer = Option<Extension<Arc<RemoteEnd>>>;
 
 /// `GET /session`
 #[utoipa::path(

@@ -1,10 +1,10 @@
 //! Who asks, and how that is known.
 
 use std::fmt;
-use std::net::IpAddr;
 
 use super::jwt::Lease;
 use super::role::{Role, Roles};
+use crate::listen::RemoteAddress;
 
 /// Characters of a caller's name, at most; contributors' names have no more.
 const MAX_NAME: usize = 64;
@@ -51,7 +51,7 @@ pub struct Caller {
     /// How both are known.
     pub known: Known,
     /// Where the connection comes from.
-    pub address: Option<IpAddr>,
+    pub address: Option<RemoteAddress>,
     /// For how long this holds, where a token says so.
     pub lease: Option<Lease>,
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::jwt;
 use super::role::{Role, Roles};
+use crate::listen::ListenAddress;
 
 /// What encrypts both ports. An empty path is none.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -154,14 +155,16 @@ impl IdentityConfig {
 ///
 /// # Errors
 /// The first rule that is broken.
-pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<(), Error> {
+pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress]) -> Result<(), Error> {
     let rules = [rules(tls, identity), jwt::rules_of(identity)].concat();
     if let Some((key, _, rule)) = rules.into_iter().find(|(_, holds, _)| !holds) {
         return Err(Error::Value { key, rule });
     }
-    let Some(&address) = listen.iter().find(|address| !address.ip().to_canonical().is_loopback()) else {
-        return Ok(());
-    };
+    let foreign = listen.iter().find_map(|address| match address {
+        ListenAddress::Tcp(tcp) if !address.is_local() => Some(*tcp),
+        _ => None,
+    });
+    let Some(address) = foreign else { return Ok(()) };
     if identity.strangers(tls) == Strangers::Unasked {
         return Err(Error::Nobody { address });
     }
@@ -225,14 +228,14 @@ mod tests {
         IdentityConfig { anonymous: "auto".to_owned(), ..IdentityConfig::default() }
     }
 
-    fn at(address: &str) -> [SocketAddr; 1] {
+    fn at(address: &str) -> [ListenAddress; 1] {
         [address.parse().unwrap()]
     }
 
     /// Catches: a port that others reach and that asks nobody because nobody thought of it.
     #[test]
     fn a_port_that_others_reach_needs_identity_or_words() {
-        for own in ["127.0.0.1:1", "[::1]:1", "127.9.9.9:1", "[::ffff:127.0.0.1]:1"] {
+        for own in ["127.0.0.1:1", "[::1]:1", "127.9.9.9:1", "[::ffff:127.0.0.1]:1", "unix:/run/a"] {
             assert_eq!(check(&tls(), &identity(), &at(own)), Ok(()), "{own}");
         }
         for open in ["0.0.0.0:1", "[::]:1", "10.0.0.7:1", "[::ffff:10.0.0.7]:1"] {

@@ -1,6 +1,5 @@
 //! From a request's connection and headers to its caller, and whether that may do it. Both ports ask here.
 
-use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -13,11 +12,12 @@ use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
 use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
 use super::jwt::{self, Told};
-use super::peer::{Closing, Entry, Peer, Peers};
+use super::remote_end::{Closing, Entry, RemoteEnd, RemoteEnds};
 use super::role::{Role, Roles};
 use super::sessions::{Basis, COOKIE, Sessions};
 use super::tls::{Files, Identified, now_s};
 use super::tokens::{TokenHash, hash_of};
+use crate::listen::{ListenAddress, RemoteAddress};
 
 /// Why a call is not answered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -48,7 +48,7 @@ pub struct Gate {
     current: ArcSwap<Identified>,
     /// What it was made from.
     files: Mutex<Files>,
-    peers: Arc<Peers>,
+    ends: Arc<RemoteEnds>,
     sessions: Sessions,
     /// The address of an issuer's keys.
     keys: jwt::Source,
@@ -68,17 +68,17 @@ impl Gate {
         strangers: Strangers,
         (files, current): (Files, Identified),
     ) -> Self {
-        let (peers, sessions, current) =
+        let (ends, sessions, current) =
             (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
         let files = Mutex::new(files);
-        Self { tls, identity, strangers, current, files, peers, sessions, keys: jwt::Source::default() }
+        Self { tls, identity, strangers, current, files, ends, sessions, keys: jwt::Source::default() }
     }
 
     /// As configured, for ports at these addresses. Reads the files.
     ///
     /// # Errors
     /// When others reach a port and nobody is asked, or a file cannot be used.
-    pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<Self, Error> {
+    pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress]) -> Result<Self, Error> {
         check(tls, identity, listen)?;
         let files = Files::read(tls, identity, &jwt::Source::default())?;
         let identified = Identified::of(&files, tls, identity)?;
@@ -99,7 +99,7 @@ impl Gate {
     pub(super) fn refresh(&self) -> Result<(bool, usize), TlsError> {
         let changed = self.replace();
         let all = changed.as_ref().is_ok_and(|changed| *changed);
-        let ended = self.peers.sweep(&self.current.load(), all);
+        let ended = self.ends.sweep(&self.current.load(), all);
         changed.map(|changed| (changed, ended))
     }
 
@@ -128,19 +128,19 @@ impl Gate {
     #[must_use]
     pub fn enter(
         &self,
-        address: SocketAddr,
+        address: RemoteAddress,
         encrypted: bool,
         chain: Option<&[CertificateDer<'_>]>,
     ) -> (Entry, Closing) {
-        let (peer, closing) = Peer::new(address, encrypted, chain, &self.identity.trust_domain);
-        (self.peers.enter(peer), closing)
+        let (end, closing) = RemoteEnd::new(address, encrypted, chain, &self.identity.trust_domain);
+        (self.ends.enter(end), closing)
     }
 
     /// Ends a connection that was let in by what no longer counts: what changed between its beginning and its entry.
-    pub fn recheck(&self, before: &Arc<Identified>, peer: &Peer) {
+    pub fn recheck(&self, before: &Arc<Identified>, end: &RemoteEnd) {
         let now = self.current.load();
-        if !Arc::ptr_eq(before, &now) && !peer.passes(&now) {
-            peer.end();
+        if !Arc::ptr_eq(before, &now) && !end.passes(&now) {
+            end.end();
         }
     }
 
@@ -157,9 +157,9 @@ impl Gate {
     ///
     /// # Errors
     /// Why they may not.
-    pub fn admit(&self, call: Call<'_>, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+    pub fn admit(&self, call: Call<'_>, end: Option<&RemoteEnd>, headers: &HeaderMap) -> Result<Caller, Refusal> {
         let access = access::of(call).ok_or(Refusal::NotServed)?;
-        let caller = self.caller(peer, headers);
+        let caller = self.caller(end, headers);
         let least = match access {
             Access::Open => None,
             Access::Metrics if self.identity.open_metrics => None,
@@ -174,7 +174,7 @@ impl Gate {
             name: String::new(),
             roles: Roles::default(),
             known: Known::Anonymous,
-            address: peer.map(|peer| peer.address.ip()),
+            address: end.map(|end| end.address),
             lease: None,
         };
         let Some(least) = least else { return Ok(caller.unwrap_or_else(|_| nobody())) };
@@ -191,31 +191,31 @@ impl Gate {
 
     /// A token beats a session, that a certificate, that a proxy's word; one that is wrong is an error, and not as if there
     /// were none.
-    fn caller(&self, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
-        let address = peer.map(|peer| peer.address.ip());
+    fn caller(&self, end: Option<&RemoteEnd>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+        let address = end.map(|end| end.address);
         if self.strangers == Strangers::Unasked {
             return Ok(Caller { address, ..Caller::unasked() });
         }
-        if peer.is_some_and(Peer::is_over) {
+        if end.is_some_and(RemoteEnd::is_over) {
             return Err(refused("the certificate of this connection no longer passes; connect again"));
         }
         if let Some(token) = bearer(headers)? {
-            return self.bearer(token, peer).map(|(caller, _)| caller);
+            return self.bearer(token, end).map(|(caller, _)| caller);
         }
         if let Some(id) = session(headers) {
             let over = || refused("the session is over; sign in again");
             let caller = match self.sessions.basis(id, Instant::now()).ok_or_else(over)? {
-                Basis::Token(token) => self.holder(token, peer),
+                Basis::Token(token) => self.holder(token, end),
                 Basis::Jwt(caller) => Some(Caller { address, ..caller }).filter(|caller| self.holds(caller)),
             };
             return caller.ok_or_else(over);
         }
-        if let Some(subject) = peer.and_then(Peer::subject) {
+        if let Some(subject) = end.and_then(RemoteEnd::subject) {
             let subject = subject.as_ref().map_err(|reason| refused(reason))?;
             let (name, roles) = (subject.name.clone(), subject.roles);
             return Ok(Caller { name, roles, known: Known::Certificate, address, lease: None });
         }
-        if let Some(told) = self.told_by_proxy(peer, headers) {
+        if let Some(told) = self.told_by_proxy(end, headers) {
             let (role, name) = told?;
             let (name, roles) = (name.to_owned(), role.into());
             return Ok(Caller { name, roles, known: Known::Proxy, address, lease: None });
@@ -225,9 +225,9 @@ impl Gate {
     }
 
     /// Who brings a bearer token, and what a session with it rests on.
-    fn bearer(&self, token: &str, peer: Option<&Peer>) -> Result<(Caller, Basis), Refusal> {
+    fn bearer(&self, token: &str, end: Option<&RemoteEnd>) -> Result<(Caller, Basis), Refusal> {
         let hash = hash_of(token);
-        if let Some(caller) = self.holder(hash, peer) {
+        if let Some(caller) = self.holder(hash, end) {
             return Ok((caller, Basis::Token(hash)));
         }
         if self.identity.jwt_jwks.is_empty() || !jwt::looks_like_one(token) {
@@ -240,7 +240,7 @@ impl Gate {
             }
             refused(&error.to_string())
         })?;
-        let (Told { name, roles, lease }, address) = (told, peer.map(|peer| peer.address.ip()));
+        let (Told { name, roles, lease }, address) = (told, end.map(|end| end.address));
         let caller = Caller { name, roles, known: Known::Jwt, address, lease: Some(lease) };
         Ok((caller.clone(), Basis::Jwt(caller)))
     }
@@ -259,30 +259,30 @@ impl Gate {
         &self.keys
     }
 
-    fn holder(&self, token: TokenHash, peer: Option<&Peer>) -> Option<Caller> {
+    fn holder(&self, token: TokenHash, end: Option<&RemoteEnd>) -> Option<Caller> {
         let current = self.current.load();
         let holder = current.tokens.holder(&token)?;
-        peer.inspect(|peer| peer.note(token));
-        let address = peer.map(|peer| peer.address.ip());
+        end.inspect(|end| end.note(token));
+        let address = end.map(|end| end.address);
         let (name, roles) = (holder.name.clone(), holder.roles);
         Some(Caller { name, roles, known: Known::Token, address, lease: None })
     }
 
     /// Whether the address of a connection stands for those who call by it: not where nobody is asked, and not a proxy's.
     #[must_use]
-    pub fn counts(&self, peer: Option<&Peer>) -> bool {
-        let proxy = !self.identity.proxy_header.is_empty() && peer.is_some_and(Peer::is_local);
+    pub fn counts(&self, end: Option<&RemoteEnd>) -> bool {
+        let proxy = !self.identity.proxy_header.is_empty() && end.is_some_and(RemoteEnd::is_local);
         self.strangers != Strangers::Unasked && !proxy
     }
 
     /// What a proxy on this machine says; anybody else's header says nothing.
     fn told_by_proxy<'a>(
         &self,
-        peer: Option<&Peer>,
+        end: Option<&RemoteEnd>,
         headers: &'a HeaderMap,
     ) -> Option<Result<(Role, &'a str), Refusal>> {
         let header = &self.identity.proxy_header;
-        if header.is_empty() || !peer.is_some_and(Peer::is_local) {
+        if header.is_empty() || !end.is_some_and(RemoteEnd::is_local) {
             return None;
         }
         let mut values = headers.get_all(header.as_str()).iter();
@@ -299,25 +299,25 @@ impl Gate {
     pub fn sign_in(
         &self,
         token: &str,
-        peer: Option<&Peer>,
+        end: Option<&RemoteEnd>,
         scope: CookieScope<'_>,
     ) -> Result<(Caller, String), Refusal> {
-        let (caller, basis) = self.bearer(token, peer)?;
+        let (caller, basis) = self.bearer(token, end)?;
         let id = self.sessions.begin(basis, Instant::now());
         let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
         let lasts = super::sessions::LASTS.as_secs();
-        Ok((caller, cookie(&id, lasts, self.within(scope, peer))))
+        Ok((caller, cookie(&id, lasts, self.within(scope, end))))
     }
 
     /// Ends the session of a request; returns the cookie that says so to the browser.
-    pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap, scope: CookieScope<'_>) -> String {
+    pub fn sign_out(&self, end: Option<&RemoteEnd>, headers: &HeaderMap, scope: CookieScope<'_>) -> String {
         session(headers).inspect(|id| self.sessions.end(id));
-        cookie("", 0, self.within(scope, peer))
+        cookie("", 0, self.within(scope, end))
     }
 
     /// Is a browser's connection encrypted, here or by something in front?
-    fn within<'a>(&self, scope: CookieScope<'a>, peer: Option<&Peer>) -> CookieScope<'a> {
-        let encrypted = scope.encrypted || self.identity.plaintext || peer.is_some_and(|peer| peer.encrypted);
+    fn within<'a>(&self, scope: CookieScope<'a>, end: Option<&RemoteEnd>) -> CookieScope<'a> {
+        let encrypted = scope.encrypted || self.identity.plaintext || end.is_some_and(|end| end.encrypted);
         CookieScope { encrypted, ..scope }
     }
 }

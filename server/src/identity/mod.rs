@@ -10,7 +10,7 @@
 //! - [`config`]: the sections `[tls]` and `[identity]`.
 //! - [`jwt`]: tokens of an issuer, its keys, and what its claims stand for.
 //! - [`keys_kept`]: that issuer's keys are asked for again.
-//! - [`peer`]: the other end of a connection.
+//! - [`remote_end`]: the other end of a connection.
 //! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
 //! - [`rates`]: how often a caller may ask.
 //! - [`reload`]: files that changed are read again, and connections that no longer pass are told to go.
@@ -22,9 +22,9 @@ mod config;
 mod gate;
 mod jwt;
 mod keys_kept;
-mod peer;
 mod rates;
 mod reload;
+mod remote_end;
 mod role;
 mod sessions;
 mod tls;
@@ -36,9 +36,9 @@ pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
 pub use gate::{CookieScope, Gate, Refusal};
 pub use jwt::Lease;
 pub use keys_kept::keep as keep_keys;
-pub use peer::{Closing, Entry, Peer};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
+pub use remote_end::{Closing, Entry, RemoteEnd};
 pub use role::{Role, Roles};
 pub use sessions::COOKIE;
 pub use tls::Identified;

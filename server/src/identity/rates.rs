@@ -107,7 +107,7 @@ impl Rates {
         match (caller.known, caller.address) {
             (Known::Unasked, _) | (Known::Anonymous, None) => Ok(()),
             (Known::Anonymous, Some(address)) => {
-                self.count_for(what, &format!("?{}", shares::Peer::at(address)))
+                self.count_for(what, &format!("?{}", shares::Peer::at(address.ip())))
             }
             _ => self.count_for(what, &caller.name),
         }
@@ -139,6 +139,7 @@ impl Rates {
 mod tests {
     use super::*;
     use crate::identity::Role;
+    use crate::listen::RemoteAddress;
 
     /// Catches: a caller that keeps others out, and a limit that is none.
     #[test]
@@ -173,7 +174,7 @@ mod tests {
             name: "alice".to_owned(),
             roles: Role::Viewer.into(),
             known: Known::Token,
-            address: Some([10, 0, 0, last].into()),
+            address: Some(RemoteAddress::Ip([10, 0, 0, last].into())),
             lease: None,
         };
         let taken = (0..50).take_while(|n| rates.count(Rated::Http, &caller(*n)).is_ok()).count();
