@@ -3,6 +3,7 @@
 //! The modules, in reading order:
 //!
 //! - [`args`], [`config`], [`log`]: its settings, and its log.
+//! - `outgoing`: what the service itself asks over HTTP.
 //! - [`pace`]: how slowly a peer may send.
 //! - [`patience`]: how long a caller waits for blocking work.
 //! - [`lanes`]: which threads do what, and which of them come first.
@@ -40,6 +41,7 @@ pub mod locating;
 pub mod log;
 pub mod mapping;
 pub mod metrics;
+mod outgoing;
 pub mod pace;
 pub mod patience;
 pub mod port;

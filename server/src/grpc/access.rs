@@ -98,6 +98,7 @@ fn refused(refusal: &Refusal) -> Status {
         // As if it did not exist: for the caller it does not.
         Refusal::NotServed => return Status::unimplemented(refusal.to_string()),
         Refusal::Unauthenticated(_) => (Code::Unauthenticated, "UNAUTHENTICATED"),
+        Refusal::Forged => (Code::PermissionDenied, "FORGED"),
         Refusal::Forbidden { .. } => (Code::PermissionDenied, "ROLE_MISSING"),
     };
     status::denied(reason.0, reason.1, refusal)

@@ -9,7 +9,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::answers::{ErrorAnswer, ErrorBody};
-use crate::identity::Refusal;
+use crate::identity::{NotSignedIn, Refusal};
 use crate::locating::NotAssessed;
 use crate::pace::TooSlow;
 use crate::sparse;
@@ -42,6 +42,9 @@ pub enum Error {
     /// Who asks is not known, or may not.
     #[error(transparent)]
     Refused(#[from] Refusal),
+    /// The issuer at which browsers sign in does not answer as issuers do.
+    #[error("{0}")]
+    Issuer(String),
     /// It is work, which no GET starts.
     #[error("{0} is work: ask for it with POST")]
     PostOnly(&'static str),
@@ -97,7 +100,8 @@ impl Error {
                 StatusCode::METHOD_NOT_ALLOWED
             }
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
-            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
+            Self::Issuer(_) => StatusCode::BAD_GATEWAY,
+            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. } | Refusal::Forged) => StatusCode::FORBIDDEN,
             Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::TooOften { .. } => StatusCode::TOO_MANY_REQUESTS,
@@ -126,6 +130,8 @@ impl Error {
             Self::WrongOrigin => "wrong_origin",
             Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
             Self::Refused(Refusal::Forbidden { .. }) => "role_missing",
+            Self::Refused(Refusal::Forged) => "csrf",
+            Self::Issuer(_) => "issuer",
             Self::AddressTooLong { .. } => "address_too_long",
             Self::TooOften { .. } => "too_often",
             Self::Saturated(_) => "saturated",
@@ -180,6 +186,17 @@ impl IntoResponse for Error {
 impl From<store::Error> for Error {
     fn from(error: store::Error) -> Self {
         Self::Store(Arc::new(error))
+    }
+}
+
+impl From<NotSignedIn> for Error {
+    fn from(error: NotSignedIn) -> Self {
+        let words = error.to_string();
+        match error {
+            NotSignedIn::NotConfigured => Self::NotFound(words),
+            NotSignedIn::Issuer(_) => Self::Issuer(words),
+            NotSignedIn::Refused(why) => Self::Refused(Refusal::Unauthenticated(why)),
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! - `answers`: what is answered in JSON, as types.
 //! - `access`: who asks, and whether they may.
-//! - `session`: browsers sign in and out.
+//! - `session`: browsers sign in and out; `sign_in`: at an issuer.
 //! - `error`: why a request was not answered, said once.
 //! - `outside`: how callers address the port, with proxies in front.
 //! - `cors`: which pages of other origins may ask it.
@@ -53,6 +53,7 @@ mod quarantine;
 mod raster;
 mod region_days;
 mod session;
+mod sign_in;
 #[cfg(test)]
 pub(crate) mod testing;
 
@@ -205,6 +206,9 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/uploads", get(live::uploads)),
         ("/api/v1/events", get(live::events)),
         ("/session", get(session::who).post(session::sign_in).delete(session::sign_out)),
+        ("/session/ways", get(sign_in::ways)),
+        ("/session/oidc", get(sign_in::begin)),
+        ("/session/callback", get(sign_in::finish)),
         ("/openapi.json", get(openapi::document)),
         ("/", get(console::page)),
         ("/assets/{name}", get(console::asset)),

@@ -15,7 +15,7 @@ use utoipa::{Modify, OpenApi};
 use super::answers::MissedEvent;
 use super::outside::Outside;
 use super::{
-    catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session,
+    catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session, sign_in,
 };
 use crate::feed::QuarantineEvent;
 use crate::identity::COOKIE;
@@ -55,6 +55,7 @@ const HERE: &str = "/";
         decisions::rollback, decisions::revoke, decisions::undo, decisions::compact, decisions::settle,
         files::export, files::import, files::backup, live::fixes, live::uploads, live::events,
         probes::healthz, probes::readyz, probes::metrics, session::who, session::sign_in, session::sign_out,
+        sign_in::ways, sign_in::begin, sign_in::finish,
         document, console::page, console::asset,
     ),
     // Events of the stream, which no operation names.
@@ -95,7 +96,8 @@ impl Modify for Common {
     }
 }
 
-const SESSION: &str = "The cookie that `POST /session` gives to a browser for a token.";
+const SESSION: &str = "The cookie that signing in gives to a browser. What changes anything also takes the header \
+    `x-echofix-csrf`, with what `GET /session` says.";
 const CERTIFICATE: &str =
     "A client certificate of the authority in `tls.client_ca`, or one whose fingerprint is listed.";
 

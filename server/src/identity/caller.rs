@@ -22,6 +22,8 @@ pub enum Known {
     Token,
     /// By a token of the configured issuer (JWT), or a session that began with one.
     Jwt,
+    /// By signing in at the configured issuer (OpenID Connect): a session.
+    Oidc,
     /// By the header of a proxy on this machine.
     Proxy,
 }
@@ -36,6 +38,7 @@ impl Known {
             Self::Certificate => "certificate",
             Self::Token => "token",
             Self::Jwt => "jwt",
+            Self::Oidc => "oidc",
             Self::Proxy => "proxy",
         }
     }
@@ -97,7 +100,7 @@ impl Caller {
         match self.known {
             Known::Unasked => return Ok(named.to_owned()),
             Known::Anonymous => return Ok(format!("?{named}")),
-            Known::Certificate | Known::Token | Known::Jwt | Known::Proxy => {}
+            Known::Certificate | Known::Token | Known::Jwt | Known::Oidc | Known::Proxy => {}
         }
         let vouches = self.roles.include(Role::Gateway).then(|| format!("{}/", self.name));
         let below = |vouches: &String| named.len() > vouches.len() && named.starts_with(vouches.as_str());

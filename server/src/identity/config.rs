@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::jwt;
+use super::{jwt, oidc};
 use super::role::{Role, Roles};
 use crate::listen::ListenAddress;
 
@@ -59,6 +59,20 @@ pub struct IdentityConfig {
     pub jwt_roles: Vec<String>,
     /// By how much the issuer's clock may differ, seconds.
     pub jwt_leeway_s: u64,
+    /// The issuer at which browsers sign in (OpenID Connect). Empty: with tokens only.
+    pub oidc_issuer: String,
+    /// PEM of the authorities of that issuer's address; empty takes those of the system.
+    pub oidc_ca: String,
+    /// The name by which the issuer knows this service.
+    pub oidc_client_id: String,
+    /// The file with what proves that name; empty for a public client.
+    pub oidc_client_secret: String,
+    /// Where the issuer sends browsers back to.
+    pub oidc_redirect: String,
+    /// What is asked for.
+    pub oidc_scopes: Vec<String>,
+    /// How long a session lasts that began so, seconds.
+    pub oidc_session_s: u64,
 }
 
 /// A file that cannot be used.
@@ -80,7 +94,7 @@ pub enum Error {
          - tokens: `echofix token create --role operator --name NAME --file FILE`, `identity.tokens` and \
          `tls.certificate`;\n  \
          - tokens of an issuer (JWT): `identity.jwt_jwks` and those beside it, and `tls.certificate`;\n  \
-         - a proxy on this machine that authenticates: listen on 127.0.0.1 and set `identity.proxy_header`;\n  \
+         - a proxy on this machine that authenticates: listen on 127.0.0.1 or a unix socket, and set `identity.proxy_header`;\n  \
          - nobody is asked: `--anonymous=vehicle`, `--anonymous=mapper` or `--anonymous=operator`;\n  \
          - only this machine: listen on 127.0.0.1"
     )]
@@ -139,6 +153,7 @@ impl IdentityConfig {
         !(tls.client_ca.is_empty()
             && self.tokens.is_empty()
             && self.jwt_jwks.is_empty()
+            && self.oidc_issuer.is_empty()
             && self.proxy_header.is_empty())
     }
 
@@ -156,7 +171,7 @@ impl IdentityConfig {
 /// # Errors
 /// The first rule that is broken.
 pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress]) -> Result<(), Error> {
-    let rules = [rules(tls, identity), jwt::rules_of(identity)].concat();
+    let rules = [rules(tls, identity), jwt::rules_of(identity), oidc::rules_of(identity)].concat();
     if let Some((key, _, rule)) = rules.into_iter().find(|(_, holds, _)| !holds) {
         return Err(Error::Value { key, rule });
     }
@@ -168,7 +183,8 @@ pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress
     if identity.strangers(tls) == Strangers::Unasked {
         return Err(Error::Nobody { address });
     }
-    let takes_tokens = !identity.tokens.is_empty() || !identity.jwt_jwks.is_empty();
+    let takes_tokens =
+        [&identity.tokens, &identity.jwt_jwks, &identity.oidc_issuer].into_iter().any(|way| !way.is_empty());
     if takes_tokens && !tls.is_on() && !identity.plaintext {
         return Err(Error::Readable { address });
     }

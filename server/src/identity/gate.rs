@@ -12,12 +12,17 @@ use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
 use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
 use super::jwt::{self, Told};
+use super::oidc::{self, Answered, FLOW_COOKIE, Flows, NotSignedIn};
 use super::remote_end::{Closing, Entry, RemoteEnd, RemoteEnds};
 use super::role::{Role, Roles};
-use super::sessions::{Basis, COOKIE, Sessions};
+use super::sessions::{Basis, COOKIE, Sessions, page_token};
 use super::tls::{Files, Identified, now_s};
 use super::tokens::{TokenHash, hash_of};
 use crate::listen::{ListenAddress, RemoteAddress};
+use crate::shares;
+
+/// The header in which a page brings what it must with each change.
+pub const PAGE_TOKEN: &str = "x-echofix-csrf";
 
 /// Why a call is not answered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -38,6 +43,12 @@ pub enum Refusal {
         /// As what.
         roles: Roles,
     },
+    /// A session's change without what its page must bring.
+    #[error(
+        "a change that is made in a session takes what `GET /session` tells its page as `csrf`, in the header x-echofix-csrf; \
+         reload the page"
+    )]
+    Forged,
 }
 
 /// Who is let in, and for what.
@@ -50,6 +61,9 @@ pub struct Gate {
     files: Mutex<Files>,
     ends: Arc<RemoteEnds>,
     sessions: Sessions,
+    flows: Flows,
+    /// What proves this service to the issuer.
+    secret: Option<String>,
     /// The address of an issuer's keys.
     keys: jwt::Source,
 }
@@ -71,7 +85,8 @@ impl Gate {
         let (ends, sessions, current) =
             (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
         let files = Mutex::new(files);
-        Self { tls, identity, strangers, current, files, ends, sessions, keys: jwt::Source::default() }
+        let (keys, flows, secret) = (jwt::Source::default(), Flows::default(), None);
+        Self { tls, identity, strangers, current, files, ends, sessions, flows, secret, keys }
     }
 
     /// As configured, for ports at these addresses. Reads the files.
@@ -83,7 +98,8 @@ impl Gate {
         let files = Files::read(tls, identity, &jwt::Source::default())?;
         let identified = Identified::of(&files, tls, identity)?;
         let strangers = identity.strangers(tls);
-        Ok(Self::with(tls.clone(), identity.clone(), strangers, (files, identified)))
+        let secret = client_secret(identity)?;
+        Ok(Self { secret, ..Self::with(tls.clone(), identity.clone(), strangers, (files, identified)) })
     }
 
     /// What connections are held against from now on.
@@ -159,7 +175,7 @@ impl Gate {
     /// Why they may not.
     pub fn admit(&self, call: Call<'_>, end: Option<&RemoteEnd>, headers: &HeaderMap) -> Result<Caller, Refusal> {
         let access = access::of(call).ok_or(Refusal::NotServed)?;
-        let caller = self.caller(end, headers);
+        let caller = self.caller(call, end, headers);
         let least = match access {
             Access::Open => None,
             Access::Metrics if self.identity.open_metrics => None,
@@ -177,7 +193,12 @@ impl Gate {
             address: end.map(|end| end.address),
             lease: None,
         };
-        let Some(least) = least else { return Ok(caller.unwrap_or_else(|_| nobody())) };
+        let Some(least) = least else {
+            return match caller {
+                Err(Refusal::Forged) => Err(Refusal::Forged),
+                caller => Ok(caller.unwrap_or_else(|_| nobody())),
+            };
+        };
         let caller = caller?;
         if caller.may(least) {
             return Ok(caller);
@@ -191,7 +212,12 @@ impl Gate {
 
     /// A token beats a session, that a certificate, that a proxy's word; one that is wrong is an error, and not as if there
     /// were none.
-    fn caller(&self, end: Option<&RemoteEnd>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+    fn caller(
+        &self,
+        call: Call<'_>,
+        end: Option<&RemoteEnd>,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Refusal> {
         let address = end.map(|end| end.address);
         if self.strangers == Strangers::Unasked {
             return Ok(Caller { address, ..Caller::unasked() });
@@ -208,7 +234,8 @@ impl Gate {
                 Basis::Token(token) => self.holder(token, end),
                 Basis::Jwt(caller) => Some(Caller { address, ..caller }).filter(|caller| self.holds(caller)),
             };
-            return caller.ok_or_else(over);
+            let caller = caller.ok_or_else(over)?;
+            return if is_forged(call, id, headers) { Err(Refusal::Forged) } else { Ok(caller) };
         }
         if let Some(subject) = end.and_then(RemoteEnd::subject) {
             let subject = subject.as_ref().map_err(|reason| refused(reason))?;
@@ -248,7 +275,10 @@ impl Gate {
     /// Whether what told of a caller still counts: the token's time is not over, and its key is still the issuer's.
     #[must_use]
     pub fn holds(&self, caller: &Caller) -> bool {
-        caller.lease.as_ref().is_none_or(|lease| lease.holds(&self.current.load().keys, now_s()))
+        caller.lease.as_ref().is_none_or(|lease| match caller.known {
+            Known::Oidc => self.flows.holds(lease, now_s()),
+            _ => lease.holds(&self.current.load().keys, now_s()),
+        })
     }
 
     pub(super) fn identity(&self) -> &IdentityConfig {
@@ -303,10 +333,87 @@ impl Gate {
         scope: CookieScope<'_>,
     ) -> Result<(Caller, String), Refusal> {
         let (caller, basis) = self.bearer(token, end)?;
-        let id = self.sessions.begin(basis, Instant::now());
+        let id = self.sessions.begin(&caller.name, basis, Instant::now());
         let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
         let lasts = super::sessions::LASTS.as_secs();
         Ok((caller, cookie(&id, lasts, self.within(scope, end))))
+    }
+
+    /// By which ways a browser may sign in: with a token, at an issuer.
+    #[must_use]
+    pub fn ways(&self) -> (bool, bool) {
+        let tokens = !self.identity.tokens.is_empty() || !self.identity.jwt_jwks.is_empty();
+        (tokens, !self.identity.oidc_issuer.is_empty())
+    }
+
+    /// Begins to sign a browser in at the issuer: where it is sent, and the cookie that it will be known by.
+    ///
+    /// # Errors
+    /// When there is no issuer, or it cannot be asked.
+    pub async fn begin_at_issuer(
+        &self,
+        from: shares::Peer,
+        end: Option<&RemoteEnd>,
+        scope: CookieScope<'_>,
+    ) -> Result<(String, String), NotSignedIn> {
+        if !self.ways().1 {
+            return Err(NotSignedIn::NotConfigured);
+        }
+        let (location, id) = self.flows.begin(&self.identity, from).await?;
+        Ok((location, self.flow_cookie(&id, oidc::LASTS.as_secs(), self.at_issuer(scope, end))))
+    }
+
+    /// Begins the session of a browser that the issuer sent back: its cookie.
+    ///
+    /// # Errors
+    /// When it is not known who that is, or they may nothing.
+    pub async fn finish_at_issuer(
+        &self,
+        answered: Answered,
+        (end, headers): (Option<&RemoteEnd>, &HeaderMap),
+        scope: CookieScope<'_>,
+    ) -> Result<(Caller, String), NotSignedIn> {
+        if !self.ways().1 {
+            return Err(NotSignedIn::NotConfigured);
+        }
+        let asking = (&self.identity, self.secret.as_deref());
+        let Told { name, roles, lease } =
+            self.flows.finish(asking, cookie_named(headers, FLOW_COOKIE), answered).await?;
+        let address = end.map(|end| end.address);
+        let caller = Caller { name, roles, known: Known::Oidc, address, lease: Some(lease) };
+        let id = self.sessions.begin(&caller.name, Basis::Jwt(caller.clone()), Instant::now());
+        let id = id.map_err(|error| NotSignedIn::Issuer(error.to_string()))?;
+        Ok((caller, cookie(&id, self.identity.oidc_session_s, self.at_issuer(scope, end))))
+    }
+
+    /// The cookie that forgets a browser which began to sign in.
+    #[must_use]
+    pub fn flow_ended(&self, end: Option<&RemoteEnd>, scope: CookieScope<'_>) -> String {
+        self.flow_cookie("", 0, self.at_issuer(scope, end))
+    }
+
+    /// Only the issuer's redirect is to bring it, which a strict cookie would not go with.
+    fn flow_cookie(&self, id: &str, lasts_s: u64, CookieScope { path, encrypted }: CookieScope<'_>) -> String {
+        let secure = if encrypted { "; Secure" } else { "" };
+        format!("{FLOW_COOKIE}={id}; Path={path}/session; Max-Age={lasts_s}; HttpOnly; SameSite=Lax{secure}")
+    }
+
+    /// Browsers know this port by the address that the issuer sends them back to.
+    fn at_issuer<'a>(&self, scope: CookieScope<'a>, end: Option<&RemoteEnd>) -> CookieScope<'a> {
+        let CookieScope { path, encrypted } = self.within(scope, end);
+        CookieScope { path, encrypted: encrypted || self.identity.oidc_redirect.starts_with("https:") }
+    }
+
+    /// Looks at the issuer's keys again, where browsers sign in at one.
+    pub(super) async fn refresh_issuer(&self) -> Result<(), String> {
+        self.flows.refresh(&self.identity).await
+    }
+
+    /// What a page must bring with the changes that it makes in the session of a request; none without one.
+    #[must_use]
+    pub fn page_token(&self, headers: &HeaderMap) -> Option<String> {
+        let id = session(headers)?;
+        self.sessions.basis(id, Instant::now()).map(|_| page_token(id))
     }
 
     /// Ends the session of a request; returns the cookie that says so to the browser.
@@ -362,9 +469,37 @@ fn bearer(headers: &HeaderMap) -> Result<Option<&str>, Refusal> {
     }
 }
 
+/// Whether a change comes without what the session's page knows. Signing in anew changes nothing of the old session.
+fn is_forged(call: Call<'_>, id: &str, headers: &HeaderMap) -> bool {
+    if matches!(call, Call::Http("GET" | "HEAD", _) | Call::Http("POST", "/session")) {
+        return false;
+    }
+    let brought = headers.get(PAGE_TOKEN).and_then(|value| value.to_str().ok());
+    // Compared by hashes: the time that it takes tells nothing.
+    brought.map(hash_of) != Some(hash_of(&page_token(id)))
+}
+
+/// What proves this service to the issuer, from its file.
+fn client_secret(identity: &IdentityConfig) -> Result<Option<String>, TlsError> {
+    let path = &identity.oidc_client_secret;
+    if path.is_empty() {
+        return Ok(None);
+    }
+    let failed =
+        |reason: String| TlsError { key: "identity.oidc_client_secret", path: path.clone(), reason };
+    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let secret = text.trim();
+    let one_line = !secret.is_empty() && !secret.contains(char::is_control);
+    if one_line { Ok(Some(secret.to_owned())) } else { Err(failed("does not hold one line".to_owned())) }
+}
+
 /// The id of a browser's session.
 fn session(headers: &HeaderMap) -> Option<&str> {
+    cookie_named(headers, COOKIE)
+}
+
+fn cookie_named<'a>(headers: &'a HeaderMap, wanted: &str) -> Option<&'a str> {
     let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
     let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| *name == COOKIE).map(|(_, id)| id)
+    pairs.find(|(name, _)| *name == wanted).map(|(_, id)| id)
 }

@@ -5,7 +5,8 @@
 //! - [`access`]: the one table of calls and the least role of each; what is not in it is denied.
 //! - [`certificate`]: the name and the roles that a certificate's URIs tell.
 //! - [`tokens`]: bearer tokens, of which a file keeps the hashes.
-//! - [`sessions`]: browsers that have signed in.
+//! - [`sessions`]: browsers that have signed in; [`kept`]: how many of them are remembered.
+//! - [`oidc`]: browsers sign in at an issuer.
 //! - [`tls`]: certificate, key, authority and revocations, checked and made into rustls's configuration.
 //! - [`config`]: the sections `[tls]` and `[identity]`.
 //! - [`jwt`]: tokens of an issuer, its keys, and what its claims stand for.
@@ -21,7 +22,9 @@ mod certificate;
 mod config;
 mod gate;
 mod jwt;
+mod kept;
 mod keys_kept;
+mod oidc;
 mod rates;
 mod reload;
 mod remote_end;
@@ -33,9 +36,10 @@ pub mod tokens;
 pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
-pub use gate::{CookieScope, Gate, Refusal};
+pub use gate::{CookieScope, Gate, PAGE_TOKEN, Refusal};
 pub use jwt::Lease;
 pub use keys_kept::keep as keep_keys;
+pub use oidc::{Answered, FLOW_COOKIE, NotSignedIn};
 pub use rates::{Rated, Rates, RatesConfig};
 pub use reload::keep as keep_current;
 pub use remote_end::{Closing, Entry, RemoteEnd};

@@ -4,17 +4,22 @@
 //! - [`issuer`]: tokens of all kinds, good and bad.
 //! - [`site`]: a service that asks who calls, and its callers.
 //! - [`calls`]: everything that can be called, and who may.
+//! - [`oidc`]: browsers sign in at an issuer; [`oidc_issuer`]: one.
 //! - [`profiles`]: services and callers under names.
 //! - [`rates`]: how often one may ask.
+//! - [`sockets`]: both ports on unix sockets.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod authority;
 mod calls;
 mod issuer;
+mod oidc;
+mod oidc_issuer;
 mod profiles;
 mod rates;
 mod site;
+mod sockets;
 
 use std::time::Duration;
 
@@ -261,8 +266,12 @@ async fn browsers_sign_in_with_a_token() {
         403,
         "another page's request"
     );
-    let out = tokio::task::block_in_place(|| browser.delete(&site, "/session"));
-    assert_eq!(out, 204);
+    let out = |headers: &[(&str, &str)]| {
+        tokio::task::block_in_place(|| browser.ask(&site, "DELETE", "/session", headers).status().as_u16())
+    };
+    assert_eq!((out(&[]), out(&[("x-echofix-csrf", &cookie)])), (403, 403), "a page that is not the session's");
+    let who: serde_json::Value = serde_json::from_str(&who).unwrap();
+    assert_eq!(out(&[("x-echofix-csrf", who["csrf"].as_str().unwrap())]), 204);
     assert_eq!(site.outcome(&browser, &read).await, Outcome::Unauthenticated);
 
     let cookie = sign_in(&site.token("viewer")).1.split(';').next().unwrap().to_owned();

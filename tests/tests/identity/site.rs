@@ -125,7 +125,11 @@ impl Site {
 
     /// A service that believes the keys at an address, unencrypted.
     pub fn of_issuer(url: &str) -> Self {
-        let settings = Issuer::settings(url);
+        Self::plain(Issuer::settings(url))
+    }
+
+    /// A service with these settings, unencrypted.
+    pub fn plain(settings: Vec<String>) -> Self {
         Self::launch(tempfile::tempdir().unwrap(), Authority::new(), settings, PathBuf::new(), "http")
     }
 
@@ -391,7 +395,19 @@ impl Caller {
 
     /// An answer, whatever it is.
     pub fn answer(&self, site: &Site, path: &str) -> ureq::http::Response<ureq::Body> {
-        self.send(site, "GET", path, "", &[]).unwrap()
+        self.ask(site, "GET", path, &[])
+    }
+
+    /// The same with a method and headers.
+    pub fn ask(
+        &self,
+        site: &Site,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+    ) -> ureq::http::Response<ureq::Body> {
+        let body = if method == "POST" { "{}" } else { "" };
+        self.send(site, method, path, body, headers).unwrap()
     }
 
     /// Status and the cookie that was set.
