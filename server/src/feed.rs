@@ -262,10 +262,16 @@ mod tests {
         let (_, events) = feed.events.after(0);
         let told = &events[0];
         for secret in ["018f4e3c", "00000000000000ff", "30.267", "97.743"] {
-            assert!(told.data.contains(secret) && !told.for_viewers.as_ref().unwrap().contains(secret), "{secret}");
+            assert!(
+                told.data.contains(secret) && !told.for_viewers.as_ref().unwrap().contains(secret),
+                "{secret}"
+            );
         }
         let coarse = told.for_viewers.as_ref().unwrap();
-        assert!(coarse.contains("30.27") && coarse.contains("-97.74") && coarse.contains("SHIFTED"), "{coarse}");
+        assert!(
+            coarse.contains("30.27") && coarse.contains("-97.74") && coarse.contains("SHIFTED"),
+            "{coarse}"
+        );
     }
 
     /// Catches: a quarantined upload that stays "counted", because vetting was faster than the answer.

@@ -12,7 +12,7 @@ use super::App;
 use super::error::Error;
 use crate::access_log::NotedRoles;
 use crate::identity::access::{Call, methods};
-use crate::identity::{RemoteEnd, Rated, Refusal};
+use crate::identity::{Rated, Refusal, RemoteEnd};
 use crate::shares;
 
 /// What load balancers ask, however often.
@@ -20,7 +20,8 @@ const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 
 /// Lets through only what the caller may ask for, and no oftener than the rates say.
 pub async fn guard(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
-    let probe = request.extensions().get::<MatchedPath>().is_some_and(|route| PROBES.contains(&route.as_str()));
+    let probe =
+        request.extensions().get::<MatchedPath>().is_some_and(|route| PROBES.contains(&route.as_str()));
     if !probe && let Err(refusal) = counted(&app, &request) {
         return refusal.into_response();
     }

@@ -101,7 +101,9 @@ impl Error {
             }
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
             Self::Issuer(_) => StatusCode::BAD_GATEWAY,
-            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. } | Refusal::Forged) => StatusCode::FORBIDDEN,
+            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. } | Refusal::Forged) => {
+                StatusCode::FORBIDDEN
+            }
             Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
             Self::TooOften { .. } => StatusCode::TOO_MANY_REQUESTS,

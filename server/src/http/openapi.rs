@@ -15,7 +15,8 @@ use utoipa::{Modify, OpenApi};
 use super::answers::MissedEvent;
 use super::outside::Outside;
 use super::{
-    catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session, sign_in,
+    catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session,
+    sign_in,
 };
 use crate::feed::QuarantineEvent;
 use crate::identity::COOKIE;

@@ -107,7 +107,8 @@ pub async fn finish(
         Ok((caller, cookie)) => {
             tracing::info!(%caller, "signed in");
             let signed_in = [(header::LOCATION, CONSOLE.to_owned()), (header::SET_COOKIE, cookie)];
-            Ok((StatusCode::SEE_OTHER, signed_in, ended).into_response())
+            // Both cookies: what is appended comes after what is set.
+            Ok((StatusCode::SEE_OTHER, signed_in, ended, ()).into_response())
         }
         Err(error) => Ok((ended, Error::from(error)).into_response()),
     }

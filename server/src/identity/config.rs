@@ -5,8 +5,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{jwt, oidc};
 use super::role::{Role, Roles};
+use super::{jwt, oidc};
 use crate::listen::ListenAddress;
 
 /// What encrypts both ports. An empty path is none.

@@ -4,66 +4,37 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use arc_swap::ArcSwap;
-use axum::http::{HeaderMap, header};
+use axum::http::HeaderMap;
 use rustls::pki_types::CertificateDer;
 
 use super::access::{self, Access, Call};
 use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
 use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
+use super::headers::{bearer, is_forged, session};
 use super::jwt::{self, Told};
-use super::oidc::{self, Answered, FLOW_COOKIE, Flows, NotSignedIn};
+use super::oidc::{self, Flows};
+use super::refusal::{Refusal, refused};
 use super::remote_end::{Closing, Entry, RemoteEnd, RemoteEnds};
 use super::role::{Role, Roles};
-use super::sessions::{Basis, COOKIE, Sessions, page_token};
+use super::sessions::{Basis, Sessions};
 use super::tls::{Files, Identified, now_s};
 use super::tokens::{TokenHash, hash_of};
 use crate::listen::{ListenAddress, RemoteAddress};
-use crate::shares;
-
-/// The header in which a page brings what it must with each change.
-pub const PAGE_TOKEN: &str = "x-echofix-csrf";
-
-/// Why a call is not answered.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// It is not in the table.
-    #[error("nothing is served under this name and method")]
-    NotServed,
-    /// Nobody knows who asks.
-    #[error("{0}")]
-    Unauthenticated(String),
-    /// It is known who asks, and that is not enough.
-    #[error("this takes the role {least}; {name} has {roles}")]
-    Forbidden {
-        /// The least role that may.
-        least: Role,
-        /// Who asks.
-        name: String,
-        /// As what.
-        roles: Roles,
-    },
-    /// A session's change without what its page must bring.
-    #[error(
-        "a change that is made in a session takes what `GET /session` tells its page as `csrf`, in the header x-echofix-csrf; \
-         reload the page"
-    )]
-    Forged,
-}
 
 /// Who is let in, and for what.
 pub struct Gate {
     tls: TlsConfig,
-    identity: IdentityConfig,
+    pub(super) identity: IdentityConfig,
     strangers: Strangers,
     current: ArcSwap<Identified>,
     /// What it was made from.
     files: Mutex<Files>,
     ends: Arc<RemoteEnds>,
-    sessions: Sessions,
-    flows: Flows,
+    pub(super) sessions: Sessions,
+    pub(super) flows: Flows,
     /// What proves this service to the issuer.
-    secret: Option<String>,
+    pub(super) secret: Option<String>,
     /// The address of an issuer's keys.
     keys: jwt::Source,
 }
@@ -82,8 +53,7 @@ impl Gate {
         strangers: Strangers,
         (files, current): (Files, Identified),
     ) -> Self {
-        let (ends, sessions, current) =
-            (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
+        let (ends, sessions, current) = (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
         let files = Mutex::new(files);
         let (keys, flows, secret) = (jwt::Source::default(), Flows::default(), None);
         Self { tls, identity, strangers, current, files, ends, sessions, flows, secret, keys }
@@ -98,7 +68,7 @@ impl Gate {
         let files = Files::read(tls, identity, &jwt::Source::default())?;
         let identified = Identified::of(&files, tls, identity)?;
         let strangers = identity.strangers(tls);
-        let secret = client_secret(identity)?;
+        let secret = oidc::client_secret(identity)?;
         Ok(Self { secret, ..Self::with(tls.clone(), identity.clone(), strangers, (files, identified)) })
     }
 
@@ -173,7 +143,12 @@ impl Gate {
     ///
     /// # Errors
     /// Why they may not.
-    pub fn admit(&self, call: Call<'_>, end: Option<&RemoteEnd>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+    pub fn admit(
+        &self,
+        call: Call<'_>,
+        end: Option<&RemoteEnd>,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Refusal> {
         let access = access::of(call).ok_or(Refusal::NotServed)?;
         let caller = self.caller(call, end, headers);
         let least = match access {
@@ -252,7 +227,7 @@ impl Gate {
     }
 
     /// Who brings a bearer token, and what a session with it rests on.
-    fn bearer(&self, token: &str, end: Option<&RemoteEnd>) -> Result<(Caller, Basis), Refusal> {
+    pub(super) fn bearer(&self, token: &str, end: Option<&RemoteEnd>) -> Result<(Caller, Basis), Refusal> {
         let hash = hash_of(token);
         if let Some(caller) = self.holder(hash, end) {
             return Ok((caller, Basis::Token(hash)));
@@ -321,131 +296,6 @@ impl Gate {
         let told = value.to_str().ok().and_then(role_and_name).filter(|_| only);
         Some(told.ok_or_else(|| refused("the proxy's header is not ROLE/NAME, or there are several")))
     }
-
-    /// Begins a browser's session with a token; returns the cookie that stands for it.
-    ///
-    /// # Errors
-    /// When the token is not known, or the system has no randomness.
-    pub fn sign_in(
-        &self,
-        token: &str,
-        end: Option<&RemoteEnd>,
-        scope: CookieScope<'_>,
-    ) -> Result<(Caller, String), Refusal> {
-        let (caller, basis) = self.bearer(token, end)?;
-        let id = self.sessions.begin(&caller.name, basis, Instant::now());
-        let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
-        let lasts = super::sessions::LASTS.as_secs();
-        Ok((caller, cookie(&id, lasts, self.within(scope, end))))
-    }
-
-    /// By which ways a browser may sign in: with a token, at an issuer.
-    #[must_use]
-    pub fn ways(&self) -> (bool, bool) {
-        let tokens = !self.identity.tokens.is_empty() || !self.identity.jwt_jwks.is_empty();
-        (tokens, !self.identity.oidc_issuer.is_empty())
-    }
-
-    /// Begins to sign a browser in at the issuer: where it is sent, and the cookie that it will be known by.
-    ///
-    /// # Errors
-    /// When there is no issuer, or it cannot be asked.
-    pub async fn begin_at_issuer(
-        &self,
-        from: shares::Peer,
-        end: Option<&RemoteEnd>,
-        scope: CookieScope<'_>,
-    ) -> Result<(String, String), NotSignedIn> {
-        if !self.ways().1 {
-            return Err(NotSignedIn::NotConfigured);
-        }
-        let (location, id) = self.flows.begin(&self.identity, from).await?;
-        Ok((location, self.flow_cookie(&id, oidc::LASTS.as_secs(), self.at_issuer(scope, end))))
-    }
-
-    /// Begins the session of a browser that the issuer sent back: its cookie.
-    ///
-    /// # Errors
-    /// When it is not known who that is, or they may nothing.
-    pub async fn finish_at_issuer(
-        &self,
-        answered: Answered,
-        (end, headers): (Option<&RemoteEnd>, &HeaderMap),
-        scope: CookieScope<'_>,
-    ) -> Result<(Caller, String), NotSignedIn> {
-        if !self.ways().1 {
-            return Err(NotSignedIn::NotConfigured);
-        }
-        let asking = (&self.identity, self.secret.as_deref());
-        let Told { name, roles, lease } =
-            self.flows.finish(asking, cookie_named(headers, FLOW_COOKIE), answered).await?;
-        let address = end.map(|end| end.address);
-        let caller = Caller { name, roles, known: Known::Oidc, address, lease: Some(lease) };
-        let id = self.sessions.begin(&caller.name, Basis::Jwt(caller.clone()), Instant::now());
-        let id = id.map_err(|error| NotSignedIn::Issuer(error.to_string()))?;
-        Ok((caller, cookie(&id, self.identity.oidc_session_s, self.at_issuer(scope, end))))
-    }
-
-    /// The cookie that forgets a browser which began to sign in.
-    #[must_use]
-    pub fn flow_ended(&self, end: Option<&RemoteEnd>, scope: CookieScope<'_>) -> String {
-        self.flow_cookie("", 0, self.at_issuer(scope, end))
-    }
-
-    /// Only the issuer's redirect is to bring it, which a strict cookie would not go with.
-    fn flow_cookie(&self, id: &str, lasts_s: u64, CookieScope { path, encrypted }: CookieScope<'_>) -> String {
-        let secure = if encrypted { "; Secure" } else { "" };
-        format!("{FLOW_COOKIE}={id}; Path={path}/session; Max-Age={lasts_s}; HttpOnly; SameSite=Lax{secure}")
-    }
-
-    /// Browsers know this port by the address that the issuer sends them back to.
-    fn at_issuer<'a>(&self, scope: CookieScope<'a>, end: Option<&RemoteEnd>) -> CookieScope<'a> {
-        let CookieScope { path, encrypted } = self.within(scope, end);
-        CookieScope { path, encrypted: encrypted || self.identity.oidc_redirect.starts_with("https:") }
-    }
-
-    /// Looks at the issuer's keys again, where browsers sign in at one.
-    pub(super) async fn refresh_issuer(&self) -> Result<(), String> {
-        self.flows.refresh(&self.identity).await
-    }
-
-    /// What a page must bring with the changes that it makes in the session of a request; none without one.
-    #[must_use]
-    pub fn page_token(&self, headers: &HeaderMap) -> Option<String> {
-        let id = session(headers)?;
-        self.sessions.basis(id, Instant::now()).map(|_| page_token(id))
-    }
-
-    /// Ends the session of a request; returns the cookie that says so to the browser.
-    pub fn sign_out(&self, end: Option<&RemoteEnd>, headers: &HeaderMap, scope: CookieScope<'_>) -> String {
-        session(headers).inspect(|id| self.sessions.end(id));
-        cookie("", 0, self.within(scope, end))
-    }
-
-    /// Is a browser's connection encrypted, here or by something in front?
-    fn within<'a>(&self, scope: CookieScope<'a>, end: Option<&RemoteEnd>) -> CookieScope<'a> {
-        let encrypted = scope.encrypted || self.identity.plaintext || end.is_some_and(|end| end.encrypted);
-        CookieScope { encrypted, ..scope }
-    }
-}
-
-/// Where a browser's cookie goes.
-#[derive(Debug, Clone, Copy)]
-pub struct CookieScope<'a> {
-    /// The path under which the port is shown; empty for the root.
-    pub path: &'a str,
-    /// Whether what is in front says that the browser's connection is encrypted.
-    pub encrypted: bool,
-}
-
-fn cookie(id: &str, lasts_s: u64, CookieScope { path, encrypted }: CookieScope<'_>) -> String {
-    let secure = if encrypted { "; Secure" } else { "" };
-    let path = if path.is_empty() { "/" } else { path };
-    format!("{COOKIE}={id}; Path={path}; Max-Age={lasts_s}; HttpOnly; SameSite=Strict{secure}")
-}
-
-fn refused(why: &str) -> Refusal {
-    Refusal::Unauthenticated(why.to_owned())
 }
 
 fn unknown() -> Refusal {
@@ -453,53 +303,4 @@ fn unknown() -> Refusal {
         "who asks is not known; show a client certificate, or a token as `authorization: Bearer TOKEN` (the command takes \
          --cert and --key, or --token)",
     )
-}
-
-/// The token of a request; an error when there is something else in its place.
-fn bearer(headers: &HeaderMap) -> Result<Option<&str>, Refusal> {
-    let mut values = headers.get_all(header::AUTHORIZATION).iter();
-    let Some(value) = values.next() else { return Ok(None) };
-    let token = value.to_str().ok().and_then(|value| {
-        let (scheme, token) = value.split_once(' ')?;
-        scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
-    });
-    match (token, values.next()) {
-        (Some(token), None) => Ok(Some(token)),
-        _ => Err(refused("the authorization header is not one `Bearer TOKEN`")),
-    }
-}
-
-/// Whether a change comes without what the session's page knows. Signing in anew changes nothing of the old session.
-fn is_forged(call: Call<'_>, id: &str, headers: &HeaderMap) -> bool {
-    if matches!(call, Call::Http("GET" | "HEAD", _) | Call::Http("POST", "/session")) {
-        return false;
-    }
-    let brought = headers.get(PAGE_TOKEN).and_then(|value| value.to_str().ok());
-    // Compared by hashes: the time that it takes tells nothing.
-    brought.map(hash_of) != Some(hash_of(&page_token(id)))
-}
-
-/// What proves this service to the issuer, from its file.
-fn client_secret(identity: &IdentityConfig) -> Result<Option<String>, TlsError> {
-    let path = &identity.oidc_client_secret;
-    if path.is_empty() {
-        return Ok(None);
-    }
-    let failed =
-        |reason: String| TlsError { key: "identity.oidc_client_secret", path: path.clone(), reason };
-    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
-    let secret = text.trim();
-    let one_line = !secret.is_empty() && !secret.contains(char::is_control);
-    if one_line { Ok(Some(secret.to_owned())) } else { Err(failed("does not hold one line".to_owned())) }
-}
-
-/// The id of a browser's session.
-fn session(headers: &HeaderMap) -> Option<&str> {
-    cookie_named(headers, COOKIE)
-}
-
-fn cookie_named<'a>(headers: &'a HeaderMap, wanted: &str) -> Option<&'a str> {
-    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
-    let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| *name == wanted).map(|(_, id)| id)
 }

@@ -13,19 +13,23 @@
 //! - [`keys_kept`]: that issuer's keys are asked for again.
 //! - [`remote_end`]: the other end of a connection.
 //! - [`gate`]: all of it together: from a request's connection and headers to its caller, and whether that may do it.
+//!   [`refusal`]: why it may not; [`headers`]: what requests carry of who asks; [`browsers`]: signing in and out.
 //! - [`rates`]: how often a caller may ask.
 //! - [`reload`]: files that changed are read again, and connections that no longer pass are told to go.
 
 pub mod access;
+mod browsers;
 mod caller;
 mod certificate;
 mod config;
 mod gate;
+mod headers;
 mod jwt;
 mod kept;
 mod keys_kept;
 mod oidc;
 mod rates;
+mod refusal;
 mod reload;
 mod remote_end;
 mod role;
@@ -36,11 +40,13 @@ pub mod tokens;
 pub use caller::{Caller, Known, NotTheContributor};
 pub use certificate::{is_caller_uri, serial_of_pem};
 pub use config::{Error, IdentityConfig, TlsConfig, TlsError, check};
-pub use gate::{CookieScope, Gate, PAGE_TOKEN, Refusal};
+pub use gate::Gate;
+pub use headers::{CookieScope, PAGE_TOKEN};
 pub use jwt::Lease;
 pub use keys_kept::keep as keep_keys;
 pub use oidc::{Answered, FLOW_COOKIE, NotSignedIn};
 pub use rates::{Rated, Rates, RatesConfig};
+pub use refusal::Refusal;
 pub use reload::keep as keep_current;
 pub use remote_end::{Closing, Entry, RemoteEnd};
 pub use role::{Role, Roles};

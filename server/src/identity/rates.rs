@@ -86,9 +86,7 @@ impl Rates {
         // Whoever was silent may ask for some seconds' worth at once.
         let per_second = |rate: u32| {
             let burst = NonZeroU32::new(rate.saturating_mul(4));
-            NonZeroU32::new(rate)
-                .zip(burst)
-                .map(|(rate, burst)| Quota::per_second(rate).allow_burst(burst))
+            NonZeroU32::new(rate).zip(burst).map(|(rate, burst)| Quota::per_second(rate).allow_burst(burst))
         };
         Self {
             clock: DefaultClock::default(),
@@ -144,7 +142,8 @@ mod tests {
     /// Catches: a caller that keeps others out, and a limit that is none.
     #[test]
     fn each_caller_has_a_rate_of_its_own() {
-        let rates = Rates::of(&RatesConfig { localize_per_s: 1, upload_per_min: 2, ..RatesConfig::default() });
+        let rates =
+            Rates::of(&RatesConfig { localize_per_s: 1, upload_per_min: 2, ..RatesConfig::default() });
         let caller = |name: &str| Caller {
             name: name.to_owned(),
             roles: Role::Mapper.into(),

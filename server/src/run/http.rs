@@ -29,7 +29,9 @@ pub(super) async fn serve(
     shared: ServiceContext,
     ending: watch::Receiver<bool>,
 ) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, rates, .. } = shared;
+    let ServiceContext {
+        config, store, operations, expectations, feed, metrics, health, gate, rates, ..
+    } = shared;
     let limits = &config.limits;
     let counted = metrics.clone();
     let builder = builder(limits);
@@ -86,7 +88,11 @@ pub(super) async fn serve(
 /// Where the port is found, and by whose pages.
 fn place(bound: &ListenAddress, config: &HttpConfig) -> Place {
     let HttpConfig { hosts, base_path, cors_origins, .. } = config;
-    Place { hosts: Hosts::of(bound.ip(), hosts), base_path: base_path.clone(), origins: Origins::of(cors_origins) }
+    Place {
+        hosts: Hosts::of(bound.ip(), hosts),
+        base_path: base_path.clone(),
+        origins: Origins::of(cors_origins),
+    }
 }
 
 fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {

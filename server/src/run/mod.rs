@@ -194,7 +194,8 @@ impl Server {
             background.spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
         let keys = background.spawn(identity::keep_keys(shared.gate.clone(), shared.metrics.clone()));
         let mut grpc = port.spawn(grpc::serve(grpc, shared.clone(), ending.subscribe()));
-        let mut http = background.spawn(http::serve((http, addresses.http), shared.clone(), ending.subscribe()));
+        let mut http =
+            background.spawn(http::serve((http, addresses.http), shared.clone(), ending.subscribe()));
         tokio::select! {
             () = shutdown => {}
             result = &mut grpc => return result?,

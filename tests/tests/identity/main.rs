@@ -269,7 +269,11 @@ async fn browsers_sign_in_with_a_token() {
     let out = |headers: &[(&str, &str)]| {
         tokio::task::block_in_place(|| browser.ask(&site, "DELETE", "/session", headers).status().as_u16())
     };
-    assert_eq!((out(&[]), out(&[("x-echofix-csrf", &cookie)])), (403, 403), "a page that is not the session's");
+    assert_eq!(
+        (out(&[]), out(&[("x-echofix-csrf", &cookie)])),
+        (403, 403),
+        "a page that is not the session's"
+    );
     let who: serde_json::Value = serde_json::from_str(&who).unwrap();
     assert_eq!(out(&[("x-echofix-csrf", who["csrf"].as_str().unwrap())]), 204);
     assert_eq!(site.outcome(&browser, &read).await, Outcome::Unauthenticated);

@@ -35,7 +35,8 @@ fn sent(site: &Site, issuer: &OidcIssuer) -> Sent {
     let mut answer = Caller::nobody(site).answer(site, "/session/oidc");
     assert_eq!(answer.status(), 303, "{:?}", answer.body_mut().read_to_string());
     let location = answer.headers()["location"].to_str().unwrap().to_owned();
-    let query = location.strip_prefix(&format!("{}/authorize?tenant=a&", issuer.url)).expect("the issuer's address");
+    let query =
+        location.strip_prefix(&format!("{}/authorize?tenant=a&", issuer.url)).expect("the issuer's address");
     let cookie = cookies(&answer).pop().unwrap();
     for word in ["echofix_signin=", "HttpOnly", "SameSite=Lax", "Secure", "Path=/session;", "Max-Age=600"] {
         assert!(cookie.contains(word), "{cookie}");
@@ -92,7 +93,10 @@ async fn browsers_sign_in_at_an_issuer() {
         assert!(ended.contains("Max-Age=0"), "{ended}");
         let viewer = Caller::cookie(&site, &signed.session.unwrap());
         let who: Value = serde_json::from_str(&viewer.get(&site, "/session")).unwrap();
-        assert_eq!((&who["name"], &who["roles"], &who["known_by"]), (&json!("alice"), &json!(["viewer"]), &json!("oidc")));
+        assert_eq!(
+            (&who["name"], &who["roles"], &who["known_by"]),
+            (&json!("alice"), &json!(["viewer"]), &json!("oidc"))
+        );
         assert_eq!(viewer.status(&site, "/api/v1/map"), 200);
         assert_eq!(viewer.status(&site, "/api/v1/fixes"), 403);
 
@@ -128,7 +132,11 @@ const BAD: [(&str, Change, Sign); 17] = [
     ("no nonce", |claims| drop(claims.as_object_mut().unwrap().remove("nonce")), Issuer::signed),
     ("another audience", |claims| claims["aud"] = json!("other"), Issuer::signed),
     ("no audience", |claims| drop(claims.as_object_mut().unwrap().remove("aud")), Issuer::signed),
-    ("several audiences and no party", |claims| claims["aud"] = json!([claims["aud"], "other"]), Issuer::signed),
+    (
+        "several audiences and no party",
+        |claims| claims["aud"] = json!([claims["aud"], "other"]),
+        Issuer::signed,
+    ),
     ("another party", |claims| claims["azp"] = json!("other"), Issuer::signed),
     ("another issuer", |claims| claims["iss"] = json!("https://other.example"), Issuer::signed),
     ("no issuer", |claims| drop(claims.as_object_mut().unwrap().remove("iss")), Issuer::signed),
@@ -167,7 +175,12 @@ async fn nobody_is_signed_in_by_anything_less() {
         refused("another's code", &back(&site, &query(&good(&one), &other.asked["state"]), &other.cookie));
         let state = |sent: &Sent| escaped(&sent.asked["state"]);
         let each = [
-            ("no cookie", true, Box::new(|sent: &Sent| query(&good(sent), &sent.asked["state"])) as Box<dyn Fn(&Sent) -> String>),
+            (
+                "no cookie",
+                true,
+                Box::new(|sent: &Sent| query(&good(sent), &sent.asked["state"]))
+                    as Box<dyn Fn(&Sent) -> String>,
+            ),
             ("no state", false, Box::new(|sent: &Sent| format!("code={}", escaped(&good(sent))))),
             ("no code", false, Box::new(|sent: &Sent| format!("state={}", state(sent)))),
             ("a code that is none", false, Box::new(|sent: &Sent| query("none", &sent.asked["state"]))),
@@ -175,7 +188,9 @@ async fn nobody_is_signed_in_by_anything_less() {
             (
                 "of another issuer",
                 false,
-                Box::new(|sent: &Sent| format!("{}&iss=https%3A%2F%2Fother.example", query(&good(sent), &sent.asked["state"]))),
+                Box::new(|sent: &Sent| {
+                    format!("{}&iss=https%3A%2F%2Fother.example", query(&good(sent), &sent.asked["state"]))
+                }),
             ),
         ];
         for (what, forgets, answer) in each {
@@ -209,7 +224,9 @@ async fn sessions_end_with_the_issuers_key() {
         if signed.status != 303 {
             assert_eq!(signed.status, 401, "asked some seconds ago: {}", signed.body);
         }
-        until_blocking("the session is over", LONG, || (viewer.status(&site, "/api/v1/map") == 401).then_some(()));
+        until_blocking("the session is over", LONG, || {
+            (viewer.status(&site, "/api/v1/map") == 401).then_some(())
+        });
         assert_eq!(signed_in(&site, &issuer, &json!(["looks"])).status, 303, "with the new key");
 
         let impostor = OidcIssuer::start();

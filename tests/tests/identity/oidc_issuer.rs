@@ -107,7 +107,10 @@ impl OidcIssuer {
 
 /// Pairs of a query or a form.
 pub fn pairs(text: &str) -> Asked {
-    text.split('&').filter_map(|pair| pair.split_once('=')).map(|(key, value)| (plain(key), plain(value))).collect()
+    text.split('&')
+        .filter_map(|pair| pair.split_once('='))
+        .map(|(key, value)| (plain(key), plain(value)))
+        .collect()
 }
 
 fn plain(text: &str) -> String {
@@ -170,7 +173,8 @@ fn answer(mut stream: TcpStream, state: &Mutex<State>, here: &str) -> std::io::R
 fn given(head: &[String], form: &Asked, state: &Mutex<State>) -> (u16, String) {
     let refused = |why: &str| (400, json!({ "error": why, "error_description": "x" }).to_string());
     let encoded = STANDARD.encode("echofix+console:s%3Ae%25c+r%3Dt");
-    let proven = head.iter().any(|line| line.eq_ignore_ascii_case(&format!("authorization: Basic {encoded}")));
+    let proven =
+        head.iter().any(|line| line.eq_ignore_ascii_case(&format!("authorization: Basic {encoded}")));
     let public = !head.iter().any(|line| line.to_ascii_lowercase().starts_with("authorization:"));
     if !(proven || public) || form["client_id"] != CLIENT {
         return (401, json!({ "error": "invalid_client" }).to_string());
@@ -184,6 +188,7 @@ fn given(head: &[String], form: &Asked, state: &Mutex<State>) -> (u16, String) {
     if text(digest(&SHA256, form["code_verifier"].as_bytes())) != grant.challenge {
         return refused("invalid_grant");
     }
-    let tokens = json!({ "access_token": "x", "token_type": "Bearer", "expires_in": 60, "id_token": grant.token });
+    let tokens =
+        json!({ "access_token": "x", "token_type": "Bearer", "expires_in": 60, "id_token": grant.token });
     (200, tokens.to_string())
 }

@@ -27,7 +27,11 @@ async fn a_caller_that_asks_without_end_is_told_when_to_come_again() {
         assert!((1..=4).contains(&wait), "{wait}");
         assert_eq!(viewer.status(&site, "/readyz"), 200, "a probe is always answered");
         assert_eq!(operator.status(&site, "/api/v1/map"), 200, "another caller of the same address");
-        assert_eq!(site.with_jwt("viewer").status(&site, "/api/v1/map"), 429, "the same name, known otherwise");
+        assert_eq!(
+            site.with_jwt("viewer").status(&site, "/api/v1/map"),
+            429,
+            "the same name, known otherwise"
+        );
         std::thread::sleep(Duration::from_secs(wait));
         assert_eq!(viewer.status(&site, "/api/v1/map"), 200);
     });

@@ -417,10 +417,6 @@ impl Caller {
         (answer.status().as_u16(), cookie.to_owned())
     }
 
-    pub fn delete(&self, site: &Site, path: &str) -> u16 {
-        self.send(site, "DELETE", path, "", &[]).unwrap().status().as_u16()
-    }
-
     fn send(
         &self,
         site: &Site,

@@ -72,7 +72,8 @@ pub(super) async fn exchanged(
     if !status.is_success() {
         return Err(failed(format!("it answered {status}")));
     }
-    let tokens: Tokens = serde_json::from_slice(&body).map_err(|_| failed("it gave no ID token".to_owned()))?;
+    let tokens: Tokens =
+        serde_json::from_slice(&body).map_err(|_| failed("it gave no ID token".to_owned()))?;
     Ok(tokens.id_token)
 }
 

@@ -106,7 +106,8 @@ impl Flows {
         let refused = |why: &str| NotSignedIn::Refused(why.to_owned());
         let id = id.ok_or_else(|| refused("this browser did not begin to sign in here, or too long ago"))?;
         let flow = self.begun.take(id, Instant::now());
-        let flow = flow.ok_or_else(|| refused("this was used already, or begun too long ago; sign in again"))?;
+        let flow =
+            flow.ok_or_else(|| refused("this was used already, or begun too long ago; sign in again"))?;
         if answered.state.as_deref() != Some(&flow.state) {
             return Err(refused("the answer is not to what this browser asked; sign in again"));
         }

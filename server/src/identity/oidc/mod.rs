@@ -15,7 +15,7 @@ mod rules;
 
 pub use flow::{Answered, NotSignedIn};
 pub(super) use flow::{Flows, LASTS};
-pub(super) use rules::rules_of;
+pub(super) use rules::{client_secret, rules_of};
 
 /// The cookie that tells which browser began to sign in. It goes with the issuer's redirect, which a strict one would not.
 pub const FLOW_COOKIE: &str = "echofix_signin";
