@@ -243,6 +243,12 @@ impl<T: Watched> Channel<T> {
 mod tests {
     use super::*;
 
+    impl Watched for usize {
+        fn for_viewers(&self) -> Option<Self> {
+            None
+        }
+    }
+
     /// Catches: somebody who only looks at the map and is told who drove where.
     #[test]
     fn viewers_are_told_neither_who_nor_where() {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use reqwest::{Client, Response};
+use reqwest::Client;
 
 use super::gate::Gate;
 use super::jwt::{MAX_SET_BYTES, check, is_address};
@@ -26,7 +26,7 @@ pub async fn keep(gate: Arc<Gate>, metrics: Arc<Metrics>) {
     }
     let (url, every) = (config.jwt_jwks.clone(), Duration::from_secs(config.jwt_refresh_s.max(1)));
     loop {
-        let fetched = match client(&config.jwt_jwks_ca) {
+        let fetched = match outgoing::client(&config.jwt_jwks_ca) {
             Ok(client) => fetch(&client, &url).await,
             Err(reason) => Err(reason),
         };
@@ -68,36 +68,12 @@ fn unreachable(error: &str, metrics: &Metrics) {
     }
 }
 
-/// Asks addresses of an issuer, and follows nowhere else.
-pub(super) fn client(ca: &str) -> Result<Client, String> {
-    if ca.is_empty() {
-        outgoing::client().map_err(|error| error.to_string())
-    } else {
-        outgoing::client_believing(ca)
-    }
-}
-
 /// A key set that was checked.
 async fn fetch(client: &Client, url: &str) -> Result<Vec<u8>, String> {
     let answer = client.get(url).send().await.map_err(|error| error.without_url().to_string())?;
     if !answer.status().is_success() {
         return Err(format!("answered {}", answer.status()));
     }
-    let bytes = received(answer, MAX_SET_BYTES).await?;
+    let bytes = outgoing::received(answer, MAX_SET_BYTES).await?;
     check(&bytes).map(|_| bytes)
-}
-
-/// The body of an answer: not empty, and no longer than so many bytes.
-pub(super) async fn received(mut answer: Response, most: u64) -> Result<Vec<u8>, String> {
-    let mut bytes = Vec::new();
-    while let Some(chunk) = answer.chunk().await.map_err(|error| error.without_url().to_string())? {
-        if (bytes.len() + chunk.len()) as u64 > most {
-            return Err(format!("is larger than {most} bytes"));
-        }
-        bytes.extend_from_slice(&chunk);
-    }
-    if bytes.is_empty() {
-        return Err("answered nothing".to_owned());
-    }
-    Ok(bytes)
 }

@@ -47,7 +47,7 @@ impl Webhook {
         let secret = config.secret().inspect_err(|error| {
             tracing::error!(%error, "the webhook's secret cannot be read: alarms are sent without");
         });
-        let client = outgoing::client()
+        let client = outgoing::client("")
             .inspect_err(
                 |error| tracing::error!(%error, "no alarm can be sent: there is no client for the webhook"),
             )

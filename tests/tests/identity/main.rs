@@ -1,6 +1,7 @@
 //! Who may do what, on both ports of the real program, over real sockets, with certificates made here.
 //!
 //! - [`authority`]: certificates of all kinds, good and bad.
+//! - [`authorities`]: whom the service itself believes.
 //! - [`issuer`]: tokens of all kinds, good and bad.
 //! - [`site`]: a service that asks who calls, and its callers.
 //! - [`calls`]: everything that can be called, and who may.
@@ -11,6 +12,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
+mod authorities;
 mod authority;
 mod calls;
 mod issuer;

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use super::provider::Known;
 use crate::identity::config::IdentityConfig;
 use crate::identity::jwt::MAX_TOKEN_BYTES;
-use crate::identity::keys_kept::received;
+use crate::outgoing::received;
 
 /// Bytes of the answer, at most: access and refresh tokens come with it, and are not kept.
 const MAX_BYTES: u64 = 8 * MAX_TOKEN_BYTES as u64;

@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 
 use crate::identity::config::IdentityConfig;
 use crate::identity::jwt::{Keys, is_address};
-use crate::identity::keys_kept::{client, received};
+use crate::outgoing::{client, received};
 
 /// Bytes of the issuer's description of itself, at most.
 const MAX_BYTES: u64 = 256 << 10;
@@ -73,7 +73,10 @@ impl Provider {
             return self.last().ok_or_else(|| "it did not answer some seconds ago".to_owned());
         }
         *asked = Some(Instant::now());
-        match ask(config).await {
+        let answered = ask(config).await;
+        // Whoever waited meanwhile asks no further.
+        *asked = Some(Instant::now());
+        match answered {
             Ok(known) => {
                 let known = Arc::new(known);
                 self.known.store(Some(Arc::clone(&known)));
