@@ -49,8 +49,8 @@ impl ServeArgs {
         let mut settings = self.settings.clone();
         let mut set = |key: &str, value: Option<String>| settings.extend(value.map(|v| (key.to_owned(), v)));
         set("store.data_dir", self.data_dir.as_ref().map(|dir| dir.display().to_string()));
-        set("grpc.listen", self.grpc_listen.as_ref().map(|address| address.to_string()));
-        set("http.listen", self.http_listen.as_ref().map(|address| address.to_string()));
+        set("grpc.listen", self.grpc_listen.as_ref().map(ToString::to_string));
+        set("http.listen", self.http_listen.as_ref().map(ToString::to_string));
         set("identity.anonymous", self.anonymous.clone());
         // Variables that are not Unicode cannot be ours.
         let text = |(k, v): (std::ffi::OsString, std::ffi::OsString)| {

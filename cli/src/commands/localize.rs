@@ -26,7 +26,7 @@ use crate::offline::OfflineLocalizer;
 pub struct Args {
     /// The drive log: an .mcap file or a folder of CSV files.
     drive: PathBuf,
-    /// URL of the service's gRPC port. Without it, that of the profile, or http://127.0.0.1:50051.
+    /// URL of the service's gRPC port. Without it, that of the profile, or `http://127.0.0.1:50051`.
     #[arg(long, env = "ECHOFIX_SERVER")]
     server: Option<String>,
     /// Localize on this machine, against the tiles in this folder (`echofix tiles sync`). No service is asked then, whatever

@@ -44,13 +44,13 @@ Words:
 pub struct Args {
     #[command(subcommand)]
     operation: Option<MapOperation>,
-    /// URL of the service's HTTP port, which the operations use. Without it, that of the profile, or http://127.0.0.1:8080.
+    /// URL of the service's HTTP port, which the operations use. Without it, that of the profile, or `http://127.0.0.1:8080`.
     #[arg(long, global = true, env = "ECHOFIX_HTTP")]
     http: Option<String>,
     /// The drive logs to upload: .mcap files or folders of CSV files.
     #[arg(required = true)]
     drives: Vec<PathBuf>,
-    /// URL of the service's gRPC port, which takes the uploads. Without it, that of the profile, or http://127.0.0.1:50051.
+    /// URL of the service's gRPC port, which takes the uploads. Without it, that of the profile, or `http://127.0.0.1:50051`.
     #[arg(long, env = "ECHOFIX_SERVER")]
     server: Option<String>,
     /// Folder in which uploads wait until the service has acknowledged them. Uploads of an earlier run are sent, too.

@@ -7,7 +7,7 @@ use serde_json::Value;
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// URL of the service's HTTP port. Without it, that of the profile, or http://127.0.0.1:8080.
+    /// URL of the service's HTTP port. Without it, that of the profile, or `http://127.0.0.1:8080`.
     #[arg(long, env = "ECHOFIX_HTTP")]
     http: Option<String>,
     /// Ask only whether the service is ready, which anybody may know; the map's figures take the role viewer.

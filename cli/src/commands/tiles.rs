@@ -26,7 +26,7 @@ enum TilesOperation {
         /// no larger.
         #[arg(long, allow_hyphen_values = true, value_parser = area)]
         area: Option<GeodeticBox>,
-        /// URL of the service's gRPC port. Without it, that of the profile, or http://127.0.0.1:50051.
+        /// URL of the service's gRPC port. Without it, that of the profile, or `http://127.0.0.1:50051`.
         #[arg(long, env = "ECHOFIX_SERVER")]
         server: Option<String>,
         /// Fetch the vehicle layer: all that localizing needs, in a sixth of the bytes of one survey and an eightieth of a crowd's.

@@ -60,7 +60,9 @@ pub async fn quarantine(
     let uploads = if caller.may(Role::Operator) {
         events.collect()
     } else {
-        alarms.iter_mut().for_each(|alarm| alarm.place = alarm.place.map(Place::coarse));
+        for alarm in &mut alarms {
+            alarm.place = alarm.place.map(Place::coarse);
+        }
         events.filter_map(|event| event.for_viewers()).collect()
     };
     Ok(fresh(QuarantineAnswer { quarantined: kept_out.len(), uploads, alarms }))

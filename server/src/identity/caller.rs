@@ -22,7 +22,7 @@ pub enum Known {
     Token,
     /// By a token of the configured issuer (JWT), or a session that began with one.
     Jwt,
-    /// By signing in at the configured issuer (OpenID Connect): a session.
+    /// By signing in at the configured issuer (`OpenID` Connect): a session.
     Oidc,
     /// By the header of a proxy on this machine.
     Proxy,

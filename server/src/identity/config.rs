@@ -59,7 +59,7 @@ pub struct IdentityConfig {
     pub jwt_roles: Vec<String>,
     /// By how much the issuer's clock may differ, seconds.
     pub jwt_leeway_s: u64,
-    /// The issuer at which browsers sign in (OpenID Connect). Empty: with tokens only.
+    /// The issuer at which browsers sign in (`OpenID` Connect). Empty: with tokens only.
     pub oidc_issuer: String,
     /// PEM of the authorities of that issuer's address; empty takes those of the system.
     pub oidc_ca: String,

@@ -91,10 +91,10 @@ mod tests {
 
     #[test]
     fn values_end_when_they_are_taken_or_in_time() {
-        let (kept, now) = (Kept::new(8, 8, Duration::from_secs(60)), Instant::now());
+        let (kept, now) = (Kept::new(8, 8, Duration::from_mins(1)), Instant::now());
         let id = kept.put("alice", 7, now).unwrap();
         assert_eq!((kept.get(&id, now), kept.get(&id[1..], now)), (Some(7), None));
-        assert_eq!(kept.get(&id, now + Duration::from_secs(60)), None);
+        assert_eq!(kept.get(&id, now + Duration::from_mins(1)), None);
         assert_eq!((kept.take(&id, now), kept.take(&id, now), kept.get(&id, now)), (Some(7), None, None));
         let late = kept.put("alice", 8, now).unwrap();
         assert_eq!(kept.take(&late, now + Duration::from_secs(61)), None);
@@ -103,7 +103,7 @@ mod tests {
     /// Catches: one owner that ends what is kept for others.
     #[test]
     fn whoever_has_the_most_makes_room() {
-        let (kept, now) = (Kept::new(8, 6, Duration::from_secs(600)), Instant::now());
+        let (kept, now) = (Kept::new(8, 6, Duration::from_mins(10)), Instant::now());
         let at = |s: u64| now + Duration::from_secs(s);
         let others: Vec<_> = ["alice", "bob"].map(|owner| kept.put(owner, 0, now).unwrap()).into();
         let greedy: Vec<_> = (0..50).map(|n| kept.put("mallory", n, at(n)).unwrap()).collect();

@@ -130,7 +130,8 @@ fn plain(text: &str) -> String {
 
 /// Text as a query takes it.
 pub fn escaped(text: &str) -> String {
-    text.bytes().map(|byte| format!("%{byte:02X}")).collect()
+    let escapes: Vec<_> = text.bytes().map(|byte| format!("%{byte:02X}")).collect();
+    escapes.concat()
 }
 
 fn answer(mut stream: TcpStream, state: &Mutex<State>, here: &str) -> std::io::Result<()> {

@@ -71,7 +71,7 @@ pub(in crate::identity) fn told_by(
     told(&claims, lease, config)
 }
 
-/// The same of an ID token (OpenID Connect Core 1.0, 3.1.3.7) that answers a question with this nonce. Its lease is a session's.
+/// The same of an ID token (`OpenID` Connect Core 1.0, 3.1.3.7) that answers a question with this nonce. Its lease is a session's.
 ///
 /// # Errors
 /// Why it is not taken.

@@ -1,4 +1,4 @@
-//! Browsers sign in at an issuer: OpenID Connect's authorization code flow, with PKCE, state and nonce.
+//! Browsers sign in at an issuer: `OpenID` Connect's authorization code flow, with PKCE, state and nonce.
 //!
 //! - [`rules`]: what of the configuration must hold.
 //! - [`provider`]: the issuer's endpoints and keys, as it publishes them.

@@ -28,7 +28,7 @@ pub(super) struct Known {
     at: Instant,
 }
 
-/// The part of the issuer's description that counts (OpenID Connect Discovery 1.0).
+/// The part of the issuer's description that counts (`OpenID` Connect Discovery 1.0).
 #[derive(Deserialize)]
 struct Description {
     issuer: String,
