@@ -98,13 +98,15 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Token(args) => commands::token::run(&args, json),
         Command::Completions(args) => commands::shell::completions(&args, Cli::command()),
         Command::Man(args) => commands::shell::man(&args, Cli::command()),
-        Command::Status(args) => commands::status::run(&args, &credentials, json),
+        Command::Status(args) => commands::status::run(&args, &credentials.resolved()?, json),
         Command::Demo(args) => in_runtime(interruptible(commands::demo::run(args, json))),
         Command::Cluster(args) => commands::cluster::run(&args, json),
         #[cfg(feature = "lab")]
         Command::Bench(args) => in_runtime(interruptible(echofix_lab::bench::command::run(args, json))),
-        Command::Map(args) => in_runtime(commands::map::run(args, &credentials, json)),
-        Command::Tiles(args) => in_runtime(interruptible(commands::tiles::run(args, &credentials, json))),
+        Command::Map(args) => in_runtime(commands::map::run(args, &credentials.resolved()?, json)),
+        Command::Tiles(args) => {
+            in_runtime(interruptible(commands::tiles::run(args, &credentials.resolved()?, json)))
+        }
         Command::Localize(args) => {
             in_runtime(interruptible(commands::localize::run(args, &credentials, json)))
         }

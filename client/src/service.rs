@@ -11,7 +11,7 @@ use tonic::{Request, Status};
 /// Where the service is and who the vehicle is to it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ServiceAddress {
-    /// `http://host:port`, or `https://host:port` for TLS.
+    /// `http://host:port`, `https://host:port` for TLS, or `unix:/path` for a socket of this machine.
     pub url: String,
     /// PEM of the authority that signed the service's certificate; without it the public ones count.
     pub ca_pem: Option<String>,
@@ -70,7 +70,9 @@ impl Interceptor for Bearer {
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The text is not a URL.
-    #[error("`{url}` is not the address of a service; expected http://host:port or https://host:port")]
+    #[error(
+        "`{url}` is not the address of a service; expected http://host:port, https://host:port or unix:/path"
+    )]
     Url {
         /// The text that is no address.
         url: String,
@@ -82,6 +84,8 @@ pub enum Error {
     #[error("the certificates cannot be used: {0}")]
     Certificates(#[source] tonic::transport::Error),
 }
+
+const NOT_ENCRYPTED: Error = Error::Tls("certificates need an https:// address; this one is not encrypted");
 
 impl ServiceAddress {
     /// A service at an `http://host:port`.
@@ -107,14 +111,16 @@ impl ServiceAddress {
             .map_err(|_| not_a_url())?
             .connect_timeout(Duration::from_secs(5))
             .tcp_nodelay(true);
+        if self.url.starts_with("unix:") {
+            let plain = self.ca_pem.is_none() && self.identity_pem.is_none();
+            return if plain { Ok(endpoint) } else { Err(NOT_ENCRYPTED) };
+        }
         match endpoint.uri().scheme_str() {
             Some("http") if self.token.is_some() && !endpoint.uri().host().is_some_and(is_loopback) => {
                 Err(Error::Tls("a token needs an https:// address: anybody on the way could read it"))
             }
             Some("http") if self.ca_pem.is_none() && self.identity_pem.is_none() => Ok(endpoint),
-            Some("http") => {
-                Err(Error::Tls("certificates need an https:// address; this one is not encrypted"))
-            }
+            Some("http") => Err(NOT_ENCRYPTED),
             Some("https") => endpoint.tls_config(self.tls()).map_err(Error::Certificates),
             _ => Err(not_a_url()),
         }
@@ -151,7 +157,10 @@ mod tests {
 
     #[test]
     fn addresses_are_checked_before_anything_is_sent() {
-        assert!(ServiceAddress::at("http://127.0.0.1:50051").endpoint().is_ok());
+        // A socket's connection is made within a runtime; its settings are not.
+        for url in ["http://127.0.0.1:50051", "unix:/run/echofix/grpc", "unix:///run/echofix/grpc"] {
+            assert!(ServiceAddress::at(url).endpoint().is_ok(), "{url}");
+        }
         for url in ["", "localhost", "ftp://host:1", "not a url"] {
             assert!(matches!(ServiceAddress::at(url).endpoint(), Err(Error::Url { .. })), "{url}");
         }

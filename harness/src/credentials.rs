@@ -3,9 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
+
+use crate::profile::{self, Profile};
+
+/// Where a service's ports are on this machine, unless something else is said.
+const SERVER: &str = "http://127.0.0.1:50051";
+const HTTP: &str = "http://127.0.0.1:8080";
 
 /// Flags of every command that calls a service.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -23,9 +29,44 @@ pub struct Credentials {
     /// Token by which the service knows the caller. The variable does not show it to other users of the machine.
     #[arg(long, global = true, env = "ECHOFIX_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
+    /// Name of a profile in `~/.config/echofix/profiles.toml`: a service's addresses, and who the command is to it. What flags and
+    /// variables say counts before it.
+    #[arg(long, global = true, value_name = "NAME", env = "ECHOFIX_PROFILE")]
+    pub profile: Option<String>,
+    /// What the profile says of the vehicles' port and of the operators'.
+    #[arg(skip)]
+    pub addresses: (Option<String>, Option<String>),
 }
 
 impl Credentials {
+    /// With what the profile says, where one is named, and nothing else does.
+    ///
+    /// # Errors
+    /// When the profile cannot be used.
+    pub fn resolved(mut self) -> anyhow::Result<Self> {
+        let Some(name) = self.profile.take().filter(|name| !name.is_empty()) else { return Ok(self) };
+        let Profile { server, http, ca, cert, key, token, .. } = Profile::named(&name, &profile::file()?)?;
+        self.addresses = (server, http);
+        self.ca = self.ca.or(ca);
+        // Who asks is said in one place: a profile's token would count before a certificate that a flag names.
+        if self.cert.is_none() && self.key.is_none() && self.token.is_none() {
+            (self.cert, self.key, self.token) = (cert, key, token);
+        }
+        Ok(self)
+    }
+
+    /// URL of the vehicles' port: what was given, or what the profile says, or this machine's.
+    #[must_use]
+    pub fn server<'a>(&'a self, given: Option<&'a str>) -> &'a str {
+        given.or(self.addresses.0.as_deref()).unwrap_or(SERVER)
+    }
+
+    /// The same of the operators' port.
+    #[must_use]
+    pub fn http<'a>(&'a self, given: Option<&'a str>) -> &'a str {
+        given.or(self.addresses.1.as_deref()).unwrap_or(HTTP)
+    }
+
     /// The vehicles' port of a service. Certificates count for `https://` only, so that a variable that is set harms no call to
     /// this machine.
     ///
@@ -45,6 +86,8 @@ impl Credentials {
     /// # Errors
     /// When a file cannot be read or used, or a token would go to another machine readable.
     pub fn agent(&self, url: &str, patience: Duration) -> anyhow::Result<ureq::Agent> {
+        let by_socket = "the operators' port of a service is asked by http:// or https://; a unix socket of it is for a proxy";
+        ensure!(!url.starts_with("unix:"), by_socket);
         let mut tls = TlsConfig::builder();
         if url.starts_with("https://") {
             if let Some(ca) = &self.ca {

@@ -2,7 +2,7 @@
 //! way.
 //!
 //! - [`process`]: the service as a process of its own; [`http`]: what its operators' port answers.
-//! - [`credentials`]: who a command is to a service, and whom it believes.
+//! - [`credentials`]: who a command is to a service, and whom it believes; [`profile`]: the same under a name.
 //! - [`town`]: drives in a simulated town.
 //! - [`recording`]: a drive becomes uploads, through the vehicle's own recorder; [`uploading`]: they go to the map,
 //!   through the vehicle's spool and uploader.
@@ -19,6 +19,7 @@ pub mod http;
 pub mod percentiles;
 pub mod prior;
 pub mod process;
+pub mod profile;
 pub mod progress;
 pub mod questions;
 pub mod recording;

@@ -44,7 +44,7 @@ pub struct ServiceProcess {
 }
 
 impl ServiceProcess {
-    /// Starts a service on free ports, without waiting until it listens. Its log is added to that of earlier ones in
+    /// Starts a service on free ports, unless its settings say otherwise, without waiting until it listens. Its log is added to that of earlier ones in
     /// the same folder.
     ///
     /// # Errors
@@ -54,7 +54,15 @@ impl ServiceProcess {
         // Those of an earlier service would be taken for this one's.
         let _ = fs::remove_file(address_file(launch.folder));
         let child = Command::new(launch.program)
-            .args(["serve", "--grpc-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--data-dir"])
+            // Of settings the last one counts.
+            .args([
+                "serve",
+                "--set",
+                "grpc.listen=127.0.0.1:0",
+                "--set",
+                "http.listen=127.0.0.1:0",
+                "--data-dir",
+            ])
             .arg(launch.data_dir)
             .arg("--addr-file")
             .arg(address_file(launch.folder))
@@ -105,7 +113,10 @@ impl ServiceProcess {
         let bound = fs::read_to_string(address_file(&self.folder)).unwrap_or_default();
         let bound: Value = serde_json::from_str(&bound).unwrap_or_default();
         let (Some(grpc), Some(http)) = (bound["grpc"].as_str(), bound["http"].as_str()) else { return false };
-        (self.grpc, self.http) = (format!("http://{grpc}"), format!("http://{http}"));
+        let url = |address: &str| {
+            if address.starts_with("unix:") { address.to_owned() } else { format!("http://{address}") }
+        };
+        (self.grpc, self.http) = (url(grpc), url(http));
         true
     }
 

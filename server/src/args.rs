@@ -1,11 +1,11 @@
 //! The command line of the service.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::Args;
 
 use crate::config::{Config, Error, Sources};
+use crate::listen::ListenAddress;
 
 /// The service's command line.
 #[derive(Debug, Clone, Default, Args)]
@@ -17,11 +17,11 @@ pub struct ServeArgs {
     #[arg(long, value_name = "DIR")]
     pub data_dir: Option<PathBuf>,
     /// Where vehicles connect; overrides `grpc.listen`
-    #[arg(long, value_name = "ADDRESS:PORT")]
-    pub grpc_listen: Option<SocketAddr>,
+    #[arg(long, value_name = "ADDRESS:PORT|unix:PATH")]
+    pub grpc_listen: Option<ListenAddress>,
     /// Where operators connect; overrides `http.listen`
-    #[arg(long, value_name = "ADDRESS:PORT")]
-    pub http_listen: Option<SocketAddr>,
+    #[arg(long, value_name = "ADDRESS:PORT|unix:PATH")]
+    pub http_listen: Option<ListenAddress>,
     /// Overrides any key, for instance `--set mapping.max_range_m=60`; may be repeated
     #[arg(long = "set", value_name = "SECTION.KEY=VALUE", value_parser = key_and_value)]
     pub settings: Vec<(String, String)>,
@@ -49,8 +49,8 @@ impl ServeArgs {
         let mut settings = self.settings.clone();
         let mut set = |key: &str, value: Option<String>| settings.extend(value.map(|v| (key.to_owned(), v)));
         set("store.data_dir", self.data_dir.as_ref().map(|dir| dir.display().to_string()));
-        set("grpc.listen", self.grpc_listen.map(|address| address.to_string()));
-        set("http.listen", self.http_listen.map(|address| address.to_string()));
+        set("grpc.listen", self.grpc_listen.as_ref().map(ToString::to_string));
+        set("http.listen", self.http_listen.as_ref().map(ToString::to_string));
         set("identity.anonymous", self.anonymous.clone());
         // Variables that are not Unicode cannot be ours.
         let text = |(k, v): (std::ffi::OsString, std::ffi::OsString)| {

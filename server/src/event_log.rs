@@ -21,8 +21,10 @@ pub struct NumberedEvent {
     pub number: u64,
     /// The name of its kind.
     pub kind: &'static str,
-    /// JSON.
+    /// JSON, for operators.
     pub data: String,
+    /// The same as viewers may know it; nothing where they may not.
+    pub for_viewers: Option<String>,
 }
 
 /// A bounded memory of events.
@@ -40,16 +42,17 @@ impl Default for EventLog {
 }
 
 impl EventLog {
-    /// Adds an event, and wakes those who follow.
-    pub fn add(&self, kind: &'static str, body: &impl Serialize) {
+    /// Adds an event, and the same as viewers may know it; wakes those who follow.
+    pub fn add<T: Serialize>(&self, kind: &'static str, body: &T, for_viewers: Option<&T>) {
         // Our own plain structs always have a JSON form.
-        let data = serde_json::to_string(body).unwrap_or_default();
+        let json = |body: &T| serde_json::to_string(body).unwrap_or_default();
+        let (data, for_viewers) = (json(body), for_viewers.map(json));
         let mut kept = self.lock();
         let number = self.newest() + 1;
         if kept.len() == KEPT {
             kept.pop_front();
         }
-        kept.push_back(Arc::new(NumberedEvent { number, kind, data }));
+        kept.push_back(Arc::new(NumberedEvent { number, kind, data, for_viewers }));
         self.newest.send_replace(number);
     }
 
@@ -98,8 +101,8 @@ mod tests {
     #[test]
     fn only_ids_of_this_run_have_a_number() {
         let (log, other) = (EventLog::default(), EventLog::default());
-        (0..3).for_each(|n| log.add("fix", &n));
-        (0..3).for_each(|n| other.add("fix", &n));
+        (0..3).for_each(|n| log.add("fix", &n, None));
+        (0..3).for_each(|n| other.add("fix", &n, None));
         assert_eq!((log.number(&log.id(0)), log.number(&log.id(3))), (Some(0), Some(3)));
         for id in [
             log.id(4),
@@ -118,7 +121,7 @@ mod tests {
         #[test]
         fn every_event_is_told_or_counted_as_missed(before in 0..3_000_u64, behind in 0..3_000_u64) {
             let log = EventLog::default();
-            (0..before).for_each(|n| log.add("fix", &n));
+            (0..before).for_each(|n| log.add("fix", &n, None));
             let mut last = before.saturating_sub(behind);
             let (gone, _) = log.after(last);
             prop_assert_eq!(gone, (before - last).saturating_sub(KEPT as u64));

@@ -71,18 +71,19 @@ pub struct UploadEvent {
 pub struct QuarantineEvent {
     /// Its epoch: the one that the upload was told.
     pub epoch: u64,
-    /// The id that the contributor chose; absent once it is compacted.
+    /// The id that the contributor chose; null once it is compacted, and for viewers.
     #[schema(required, format = "uuid")]
     pub upload_id: Option<String>,
-    /// Keyed hash of the contributor's pseudonym, 16 hexadecimal digits. It can be revoked by it.
-    pub contributor: String,
+    /// Keyed hash of the contributor's pseudonym, 16 hexadecimal digits. It can be revoked by it. Null for viewers.
+    #[schema(required)]
+    pub contributor: Option<String>,
     /// `SHIFTED`, `ROTATED` or `DISAGREES`.
     #[schema(example = "SHIFTED")]
     pub reason: &'static str,
     /// UTC date of the drive.
     #[schema(format = Date)]
     pub date: String,
-    /// Where it lies; null where its zone does not reach.
+    /// Where it lies, for viewers to a hundredth of a degree; null where its zone does not reach.
     #[schema(required)]
     pub place: Option<Place>,
     /// What would move it onto the map; null when it shows something else.
@@ -112,6 +113,40 @@ pub struct MapOffset {
     pub north_m: f64,
     /// Degrees, counter-clockwise.
     pub yaw_deg: f64,
+}
+
+/// What operators watch, and what of it viewers may know: not who was where.
+pub trait Watched: Clone + Serialize {
+    /// As viewers may know it; nothing where they may not.
+    fn for_viewers(&self) -> Option<Self>;
+}
+
+impl Watched for FixEvent {
+    fn for_viewers(&self) -> Option<Self> {
+        None
+    }
+}
+
+impl Watched for UploadEvent {
+    fn for_viewers(&self) -> Option<Self> {
+        Some(self.clone())
+    }
+}
+
+impl Watched for QuarantineEvent {
+    fn for_viewers(&self) -> Option<Self> {
+        let place = self.place.map(Place::coarse);
+        Some(Self { upload_id: None, contributor: None, place, ..self.clone() })
+    }
+}
+
+impl Place {
+    /// To about a kilometre: which part of a town, and not which drive.
+    #[must_use]
+    pub fn coarse(self) -> Self {
+        let hundredth = |degrees: f64| (degrees * 100.0).round() / 100.0;
+        Self { lat: hundredth(self.lat), lon: hundredth(self.lon) }
+    }
 }
 
 /// The last fixes and the last uploads.
@@ -167,7 +202,7 @@ pub struct Channel<T> {
     events: Arc<EventLog>,
 }
 
-impl<T: Clone + Serialize> Channel<T> {
+impl<T: Watched> Channel<T> {
     fn new(kind: &'static str, events: &Arc<EventLog>) -> Self {
         Self { kind, recent: Mutex::new(VecDeque::with_capacity(RECENT)), events: Arc::clone(events) }
     }
@@ -178,7 +213,7 @@ impl<T: Clone + Serialize> Channel<T> {
         if recent.len() == RECENT {
             recent.pop_front();
         }
-        self.events.add(self.kind, &event);
+        self.events.add(self.kind, &event, event.for_viewers().as_ref());
         recent.push_back(event);
     }
 
@@ -208,6 +243,43 @@ impl<T: Clone + Serialize> Channel<T> {
 mod tests {
     use super::*;
 
+    impl Watched for usize {
+        fn for_viewers(&self) -> Option<Self> {
+            None
+        }
+    }
+
+    /// Catches: somebody who only looks at the map and is told who drove where.
+    #[test]
+    fn viewers_are_told_neither_who_nor_where() {
+        let place = Some(Place { lat: 30.267_153, lon: -97.743_061 });
+        let event = QuarantineEvent {
+            epoch: 7,
+            upload_id: Some("018f4e3c-0000-7000-8000-000000000000".to_owned()),
+            contributor: Some("00000000000000ff".to_owned()),
+            reason: "SHIFTED",
+            date: "2026-01-01".to_owned(),
+            place,
+            offset: None,
+            offset_m: Some(1.5),
+        };
+        let feed = Feed::default();
+        feed.quarantine(event);
+        let (_, events) = feed.events.after(0);
+        let told = &events[0];
+        for secret in ["018f4e3c", "00000000000000ff", "30.267", "97.743"] {
+            assert!(
+                told.data.contains(secret) && !told.for_viewers.as_ref().unwrap().contains(secret),
+                "{secret}"
+            );
+        }
+        let coarse = told.for_viewers.as_ref().unwrap();
+        assert!(
+            coarse.contains("30.27") && coarse.contains("-97.74") && coarse.contains("SHIFTED"),
+            "{coarse}"
+        );
+    }
+
     /// Catches: a quarantined upload that stays "counted", because vetting was faster than the answer.
     #[test]
     fn a_quarantined_upload_is_marked_whichever_comes_first() {
@@ -224,7 +296,7 @@ mod tests {
         let kept_out = |epoch| QuarantineEvent {
             epoch,
             upload_id: None,
-            contributor: "00000000000000ff".to_owned(),
+            contributor: Some("00000000000000ff".to_owned()),
             reason: "SHIFTED",
             date: "2026-01-01".to_owned(),
             place: None,

@@ -3,10 +3,11 @@
 //! The modules, in reading order:
 //!
 //! - [`args`], [`config`], [`log`]: its settings, and its log.
+//! - `outgoing`: what the service itself asks over HTTP.
 //! - [`pace`]: how slowly a peer may send.
 //! - [`patience`]: how long a caller waits for blocking work.
 //! - [`lanes`]: which threads do what, and which of them come first.
-//! - [`port`]: the two ports.
+//! - [`port`]: the two ports; [`listen`]: where they listen.
 //! - [`shares`]: pools of which no peer can take all.
 //! - `sparse`: log lines that a caller can cause, at a bounded rate.
 //! - [`run`]: two ports over one store, from bind to the last answer.
@@ -35,10 +36,12 @@ pub mod health;
 pub mod http;
 pub mod identity;
 pub mod lanes;
+pub mod listen;
 pub mod locating;
 pub mod log;
 pub mod mapping;
 pub mod metrics;
+mod outgoing;
 pub mod pace;
 pub mod patience;
 pub mod port;

@@ -77,7 +77,7 @@ async fn http_get(address: std::net::SocketAddr, path: &str) -> String {
 async fn a_taken_port_and_a_taken_directory_are_reported() {
     let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let first = Server::bind(config(dir.path(), &[])).await.unwrap();
-    let taken = first.grpc_addr().to_string();
+    let taken = first.addresses().grpc.to_string();
     let error = Server::bind(config(other.path(), &[("grpc.listen", &taken)])).await.err().unwrap();
     assert!(matches!(error, Error::Listen { port: "gRPC", .. }), "{error}");
     let error = Server::bind(config(dir.path(), &[])).await.err().unwrap();

@@ -46,9 +46,20 @@ impl CommandRun {
 
 /// Runs `echofix` with arguments to its end.
 pub fn echofix<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> CommandRun {
+    echofix_with(&[], arguments)
+}
+
+/// The same with variables.
+pub fn echofix_with<A: AsRef<OsStr>>(
+    variables: &[(&str, &str)],
+    arguments: impl IntoIterator<Item = A>,
+) -> CommandRun {
     let mut command = Command::new(binary::echofix());
     // What a developer has set must not decide a test.
-    command.env_remove("ECHOFIX_SERVER").env_remove("ECHOFIX_HTTP");
+    for name in ["SERVER", "HTTP", "CA", "CERT", "KEY", "TOKEN", "PROFILE"] {
+        command.env_remove(format!("ECHOFIX_{name}"));
+    }
+    command.envs(variables.iter().copied());
     let output = command.args(arguments).stdin(Stdio::null()).output().expect("echofix can be run");
     let text = |bytes| String::from_utf8(bytes).expect("the command writes UTF-8");
     CommandRun { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }

@@ -26,9 +26,9 @@ use crate::offline::OfflineLocalizer;
 pub struct Args {
     /// The drive log: an .mcap file or a folder of CSV files.
     drive: PathBuf,
-    /// URL of the service's gRPC port.
-    #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
-    server: String,
+    /// URL of the service's gRPC port. Without it, that of the profile, or `http://127.0.0.1:50051`.
+    #[arg(long, env = "ECHOFIX_SERVER")]
+    server: Option<String>,
     /// Localize on this machine, against the tiles in this folder (`echofix tiles sync`). No service is asked then, whatever
     /// --server or `ECHOFIX_SERVER` says.
     #[arg(long)]
@@ -123,7 +123,9 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
     let replay = if let Some(tiles) = &args.offline {
         ask(&drive, &OfflineLocalizer::open(tiles)?, &plan, args.at_once, &bar).await?
     } else {
-        let localizer = patient_localizer_to(credentials.endpoint(&args.server)?);
+        let credentials = credentials.clone().resolved()?;
+        let service = credentials.endpoint(credentials.server(args.server.as_deref()))?;
+        let localizer = patient_localizer_to(service);
         ask(&drive, &localizer, &plan, args.at_once, &bar).await?
     };
     bar.finish_and_clear();

@@ -44,15 +44,15 @@ Words:
 pub struct Args {
     #[command(subcommand)]
     operation: Option<MapOperation>,
-    /// URL of the service's HTTP port, which the operations use.
-    #[arg(long, global = true, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
-    http: String,
+    /// URL of the service's HTTP port, which the operations use. Without it, that of the profile, or `http://127.0.0.1:8080`.
+    #[arg(long, global = true, env = "ECHOFIX_HTTP")]
+    http: Option<String>,
     /// The drive logs to upload: .mcap files or folders of CSV files.
     #[arg(required = true)]
     drives: Vec<PathBuf>,
-    /// URL of the service's gRPC port, which takes the uploads.
-    #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
-    server: String,
+    /// URL of the service's gRPC port, which takes the uploads. Without it, that of the profile, or `http://127.0.0.1:50051`.
+    #[arg(long, env = "ECHOFIX_SERVER")]
+    server: Option<String>,
     /// Folder in which uploads wait until the service has acknowledged them. Uploads of an earlier run are sent, too.
     #[arg(long, default_value = "echofix-spool")]
     spool: PathBuf,
@@ -95,7 +95,8 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
     if let Some(operation) = args.operation {
         // The operations block.
         return tokio::task::block_in_place(|| {
-            map_operations::run(&operation, &args.http, credentials, json)
+            let http = credentials.http(args.http.as_deref());
+            map_operations::run(&operation, http, credentials, json)
         });
     }
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
@@ -153,7 +154,7 @@ async fn map_drive(
     }
     let bar = progress::bar("uploads acknowledged", 0, json);
     let patience = Duration::from_secs_f64(args.patience_s);
-    let service = credentials.endpoint(&args.server)?;
+    let service = credentials.endpoint(credentials.server(args.server.as_deref()))?;
     let asked = service.clone();
     let uploaded =
         upload_to(&drive, service, &args.spool, config, (patience, interrupted.clone()), &bar).await;

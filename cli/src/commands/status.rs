@@ -7,9 +7,9 @@ use serde_json::Value;
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// URL of the service's HTTP port.
-    #[arg(long, env = "ECHOFIX_HTTP", default_value = "http://127.0.0.1:8080")]
-    http: String,
+    /// URL of the service's HTTP port. Without it, that of the profile, or `http://127.0.0.1:8080`.
+    #[arg(long, env = "ECHOFIX_HTTP")]
+    http: Option<String>,
     /// Ask only whether the service is ready, which anybody may know; the map's figures take the role viewer.
     #[arg(long)]
     ready: bool,
@@ -20,8 +20,9 @@ pub struct Args {
 /// # Errors
 /// When the service cannot be reached, is not ready, or does not answer with JSON.
 pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
-    let ready = get_json_as(credentials, &args.http, "/readyz")?;
-    let map = if args.ready { Value::Null } else { get_json_as(credentials, &args.http, "/api/v1/map")? };
+    let http = credentials.http(args.http.as_deref());
+    let ready = get_json_as(credentials, http, "/readyz")?;
+    let map = if args.ready { Value::Null } else { get_json_as(credentials, http, "/api/v1/map")? };
     let reason = map["error"]["message"].as_str().unwrap_or_default();
     anyhow::ensure!(map["error"].is_null(), "the service refuses: {reason}");
     if json {

@@ -26,9 +26,9 @@ enum TilesOperation {
         /// no larger.
         #[arg(long, allow_hyphen_values = true, value_parser = area)]
         area: Option<GeodeticBox>,
-        /// URL of the service's gRPC port.
-        #[arg(long, env = "ECHOFIX_SERVER", default_value = "http://127.0.0.1:50051")]
-        server: String,
+        /// URL of the service's gRPC port. Without it, that of the profile, or `http://127.0.0.1:50051`.
+        #[arg(long, env = "ECHOFIX_SERVER")]
+        server: Option<String>,
         /// Fetch the vehicle layer: all that localizing needs, in a sixth of the bytes of one survey and an eightieth of a crowd's.
         #[arg(long)]
         layer: bool,
@@ -47,7 +47,7 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
     let everywhere = GeodeticBox { south_deg: -90.0, west_deg: -180.0, north_deg: 90.0, east_deg: 180.0 };
     let limits = TileCacheLimits { max_bytes: max_mb.saturating_mul(1_000_000) };
     let cache = TileCache::open(dir, limits)?;
-    let service = credentials.endpoint(&server)?;
+    let service = credentials.endpoint(credentials.server(server.as_deref()))?;
     let want = Want::Area(area.unwrap_or(everywhere));
     let done =
         if layer { cache.sync_layer(&service, &want).await? } else { cache.sync(&service, &want).await? };

@@ -5,7 +5,7 @@ import { deciding } from './decide.js';
 import { count } from './format.js';
 
 const KINDS = {
-  revoke_contributor: (of) => `contributor ${of} revoked`,
+  revoke_contributor: (of) => `contributor ${of ?? ''} revoked`,
   revoke_upload: (of) => `upload ${of} revoked`,
   rollback: (of) => `rolled back to epoch ${of}`,
   undo: (of) => `decision ${of} undone`,

@@ -72,11 +72,11 @@ export function showQuarantine({ quarantined, uploads, alarms }, { go, revoke })
         el('span', { textContent: `${of.date} · epoch ${of.epoch}` })),
       el('dl', { className: 'ids' },
         el('div', {}, el('dt', { textContent: 'upload' }), el('dd', { textContent: of.upload_id ?? 'compacted' })),
-        el('div', {}, el('dt', { textContent: 'contributor' }), el('dd', { textContent: of.contributor }))),
+        el('div', {}, el('dt', { textContent: 'contributor' }), el('dd', { textContent: of.contributor ?? 'told to operators' }))),
       el('p', { className: 'acts' },
         of.upload_id ? deciding('Revoke upload', `Revoke upload ${of.upload_id}`, () => revoke({ upload: of.upload_id }, `Revoke upload ${of.upload_id}?`)) : null,
-        deciding('Revoke contributor', `Revoke contributor ${of.contributor}, epoch ${of.epoch}`, () =>
-          revoke({ contributor_hash: of.contributor }, `Revoke all uploads so far of contributor ${of.contributor}?`))));
+        of.contributor ? deciding('Revoke contributor', `Revoke contributor ${of.contributor}, epoch ${of.epoch}`, () =>
+          revoke({ contributor_hash: of.contributor }, `Revoke all uploads so far of contributor ${of.contributor}?`)) : null));
   const none = el('li', { className: 'none', textContent: 'Nothing is in quarantine.' });
   const rows = [...alarms.map(alarm), ...uploads.slice(0, 100).map(one)];
   fill(byId('quarantine'), rows.length ? rows : [none]);

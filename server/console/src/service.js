@@ -4,13 +4,18 @@
 let signIn;
 export const onSignIn = (show) => (signIn = show);
 
+/** What the service takes with each change that a page makes in a session; nothing without one. */
+let csrf;
+export const inSession = (token) => (csrf = token);
+export const changing = () => (csrf ? { 'x-echofix-csrf': csrf } : {});
+
 /** Every request of the page goes this way. JSON of an address; throws the service's own words. */
 async function call(path, options = {}) {
-  const headers = { accept: 'application/json', ...options.headers };
-  let response = await fetch(path, { ...options, headers });
+  const asked = () => ({ ...options, headers: { accept: 'application/json', ...(options.method ? changing() : {}), ...options.headers } });
+  let response = await fetch(path, asked());
   if (response.status === 401 && signIn) {
     await signIn(response);
-    response = await fetch(path, { ...options, headers });
+    response = await fetch(path, asked());
   }
   const body = await response.json().catch(() => undefined);
   if (response.ok) return body;

@@ -1,7 +1,7 @@
 // Signing in with a token, when the service asks who is there.
 
 import { byId } from './dom.js';
-import { onSignIn } from './service.js';
+import { changing, inSession, onSignIn } from './service.js';
 
 let asking;
 
@@ -14,6 +14,8 @@ function signIn() {
 async function ask() {
   const [dialog, token, note] = [byId('signin'), byId('signin-token'), byId('signin-note')];
   note.textContent = 'This service asks who is there. A token comes from whoever runs it.';
+  const ways = await fetch('session/ways').then((answer) => answer.json()).catch(() => ({}));
+  byId('signin-issuer').hidden = !ways.oidc;
   for (;;) {
     token.value = '';
     dialog.returnValue = '';
@@ -32,7 +34,8 @@ async function ask() {
 /** Shows who is signed in, where somebody is. */
 async function showWho() {
   const answer = await fetch('session').catch(() => undefined);
-  const { name } = answer?.ok ? await answer.json() : {};
+  const { name, csrf } = answer?.ok ? await answer.json() : {};
+  inSession(csrf);
   byId('signout').hidden = !name;
   byId('signout').textContent = `Sign out ${name ?? ''}`;
 }
@@ -40,7 +43,7 @@ async function showWho() {
 export function addSignIn() {
   onSignIn(signIn);
   byId('signout').addEventListener('click', async () => {
-    await fetch('session', { method: 'DELETE' });
+    await fetch('session', { method: 'DELETE', headers: changing() });
     location.reload();
   });
   showWho();

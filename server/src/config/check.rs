@@ -7,6 +7,7 @@ use crate::export::TraceConfig;
 use crate::grpc::INTEGRITY_RISKS;
 use crate::http::{is_base_path, is_origin};
 use crate::identity::{self, RatesConfig};
+use crate::listen::socket_mode;
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 
@@ -79,8 +80,10 @@ fn trace(config: &TraceConfig) -> Vec<Rule> {
 }
 
 fn ports(config: &Config) -> Vec<Rule> {
-    let (grpc, HttpConfig { listen, hosts, base_path, cors_origins }) = (config.grpc.listen, &config.http);
-    let apart = grpc != *listen || grpc.port() == 0;
+    let (grpc, HttpConfig { listen, socket_mode: mode, hosts, base_path, cors_origins }) =
+        (&config.grpc, &config.http);
+    let apart = listen.is_apart_from(&grpc.listen);
+    let rights = "must be the rights on the socket's file in octal digits, as 0600 or 0660";
     let name = |host: &String| {
         (1..=253).contains(&host.len())
             && host.chars().all(|c| c.is_ascii_alphanumeric() || "-._:[]".contains(c))
@@ -88,6 +91,8 @@ fn ports(config: &Config) -> Vec<Rule> {
     let bare = |host: &String| host.starts_with('[') || host.matches(':').count() != 1;
     vec![
         ("http.listen", apart, "must differ from grpc.listen: each port needs an address of its own"),
+        ("grpc.socket_mode", socket_mode(&grpc.socket_mode).is_some(), rights),
+        ("http.socket_mode", socket_mode(mode).is_some(), rights),
         (
             "http.hosts",
             hosts.iter().all(name),
@@ -353,6 +358,8 @@ fn rates(rates: RatesConfig) -> Vec<Rule> {
     vec![
         ("rates.localize_per_s", rates.localize_per_s <= 1_000_000, most),
         ("rates.upload_per_min", rates.upload_per_min <= 1_000_000, most),
+        ("rates.http_per_s", rates.http_per_s <= 1_000_000, most),
+        ("rates.http_address_per_s", rates.http_address_per_s <= 1_000_000, most),
     ]
 }
 

@@ -5,7 +5,6 @@ mod check;
 mod differences;
 mod overlay;
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -15,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::export::TraceConfig;
 use crate::identity::{self, Gate, IdentityConfig, RatesConfig, TlsConfig};
+use crate::listen::ListenAddress;
 use crate::locating::LocatingConfig;
 use crate::mapping::MappingConfig;
 use crate::pace::Pace;
@@ -111,16 +111,20 @@ pub struct Config {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ListenConfig {
-    /// Address and port; port 0 takes any free one.
-    pub listen: SocketAddr,
+    /// Address and port, or a unix socket; port 0 takes any free one.
+    pub listen: ListenAddress,
+    /// The rights on that socket's file, as `0600`.
+    pub socket_mode: String,
 }
 
 /// The operators' port.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HttpConfig {
-    /// Address and port; port 0 takes any free one.
-    pub listen: SocketAddr,
+    /// Address and port, or a unix socket; port 0 takes any free one.
+    pub listen: ListenAddress,
+    /// The rights on that socket's file, as `0600`.
+    pub socket_mode: String,
     /// Names by which the port is reached, besides its address and `localhost`.
     pub hosts: Vec<String>,
     /// The path under which proxies show the port: empty, or as `/echofix`.
@@ -384,7 +388,7 @@ impl Config {
     /// # Errors
     /// When others reach a port and nobody is asked, or a file cannot be used.
     pub fn gate(&self) -> Result<Gate, identity::Error> {
-        Gate::of(&self.tls, &self.identity, &[self.grpc.listen, self.http.listen])
+        Gate::of(&self.tls, &self.identity, &[self.grpc.listen.clone(), self.http.listen.clone()])
     }
 
     /// The configuration in force, as TOML.

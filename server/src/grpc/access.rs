@@ -10,7 +10,7 @@ use super::heads::Look;
 use super::status;
 use crate::access_log::NotedRoles;
 use crate::identity::access::Call;
-use crate::identity::{Caller, Gate, Peer, Rated, Rates, Refusal};
+use crate::identity::{Caller, Gate, Rated, Rates, Refusal, RemoteEnd};
 
 /// Lets through only what the caller may call.
 #[derive(Clone)]
@@ -39,7 +39,8 @@ impl Access {
     }
 
     fn admit<B>(&self, request: &Request<B>) -> Result<Caller, Status> {
-        let (path, peer) = (request.uri().path(), request.extensions().get::<Arc<Peer>>().map(Arc::as_ref));
+        let (path, peer) =
+            (request.uri().path(), request.extensions().get::<Arc<RemoteEnd>>().map(Arc::as_ref));
         let caller = self.gate.admit(Call::Rpc(path), peer, request.headers());
         let roles = match &caller {
             Ok(Caller { roles, .. }) | Err(Refusal::Forbidden { roles, .. }) => Some(*roles),
@@ -98,6 +99,7 @@ fn refused(refusal: &Refusal) -> Status {
         // As if it did not exist: for the caller it does not.
         Refusal::NotServed => return Status::unimplemented(refusal.to_string()),
         Refusal::Unauthenticated(_) => (Code::Unauthenticated, "UNAUTHENTICATED"),
+        Refusal::Forged => (Code::PermissionDenied, "FORGED"),
         Refusal::Forbidden { .. } => (Code::PermissionDenied, "ROLE_MISSING"),
     };
     status::denied(reason.0, reason.1, refusal)

@@ -65,6 +65,7 @@ async fn of_a_small_map(answers: &mut Answers) {
         ("GET /api/v1/fixes", "/api/v1/fixes"),
         ("GET /api/v1/uploads", "/api/v1/uploads"),
         ("GET /session", "/session"),
+        ("GET /session/ways", "/session/ways"),
     ] {
         answers.insert((operation, ""), json_of(site.get(path).await).await);
     }

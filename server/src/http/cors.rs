@@ -5,6 +5,7 @@ use axum::http::{HeaderName, HeaderValue, Method, header};
 use std::time::Duration;
 use tower_http::cors::{AllowCredentials, AllowOrigin, CorsLayer};
 
+use crate::identity::PAGE_TOKEN;
 use crate::trace::REQUEST_ID;
 
 /// All origins.
@@ -58,6 +59,7 @@ impl Origins {
                 header::CONTENT_TYPE,
                 header::IF_NONE_MATCH,
                 HeaderName::from_static("last-event-id"),
+                HeaderName::from_static(PAGE_TOKEN),
                 REQUEST_ID,
             ])
             .expose_headers([header::ETAG, header::RETRY_AFTER, REQUEST_ID])

@@ -1,6 +1,7 @@
 //! Why a request was not answered, and how that is said over HTTP.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::rejection::{JsonRejection, QueryRejection};
@@ -8,7 +9,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::answers::{ErrorAnswer, ErrorBody};
-use crate::identity::Refusal;
+use crate::identity::{NotSignedIn, Refusal};
 use crate::locating::NotAssessed;
 use crate::pace::TooSlow;
 use crate::sparse;
@@ -41,6 +42,9 @@ pub enum Error {
     /// Who asks is not known, or may not.
     #[error(transparent)]
     Refused(#[from] Refusal),
+    /// The issuer at which browsers sign in does not answer as issuers do.
+    #[error("{0}")]
+    Issuer(String),
     /// It is work, which no GET starts.
     #[error("{0} is work: ask for it with POST")]
     PostOnly(&'static str),
@@ -49,6 +53,14 @@ pub enum Error {
     AddressTooLong {
         /// Longest address that is served, bytes.
         limit: usize,
+    },
+    /// The caller, or its address, asks too often.
+    #[error("{who} asks too often; try again in {} s", whole_seconds(*.wait))]
+    TooOften {
+        /// Who.
+        who: &'static str,
+        /// When to come again.
+        wait: Duration,
     },
     /// All permits of this kind are taken.
     #[error("{0}; try again in a second")]
@@ -88,9 +100,13 @@ impl Error {
                 StatusCode::METHOD_NOT_ALLOWED
             }
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
-            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. }) => StatusCode::FORBIDDEN,
+            Self::Issuer(_) => StatusCode::BAD_GATEWAY,
+            Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. } | Refusal::Forged) => {
+                StatusCode::FORBIDDEN
+            }
             Self::Refused(Refusal::Unauthenticated(_)) => StatusCode::UNAUTHORIZED,
             Self::AddressTooLong { .. } => StatusCode::URI_TOO_LONG,
+            Self::TooOften { .. } => StatusCode::TOO_MANY_REQUESTS,
             Self::Saturated(_) | Self::Spool(_) => StatusCode::SERVICE_UNAVAILABLE,
             Self::TooSlow(_) => StatusCode::REQUEST_TIMEOUT,
             Self::TimedOut { .. } | Self::Gone => StatusCode::GATEWAY_TIMEOUT,
@@ -116,7 +132,10 @@ impl Error {
             Self::WrongOrigin => "wrong_origin",
             Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
             Self::Refused(Refusal::Forbidden { .. }) => "role_missing",
+            Self::Refused(Refusal::Forged) => "csrf",
+            Self::Issuer(_) => "issuer",
             Self::AddressTooLong { .. } => "address_too_long",
+            Self::TooOften { .. } => "too_often",
             Self::Saturated(_) => "saturated",
             Self::TooSlow(_) => "too_slow",
             Self::Spool(_) => "no_room",
@@ -133,6 +152,11 @@ impl Error {
     }
 }
 
+/// As `Retry-After` takes them: not before the time has come.
+fn whole_seconds(wait: Duration) -> u64 {
+    wait.as_secs_f64().ceil().max(1.0) as u64
+}
+
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
         let status = self.status();
@@ -141,6 +165,10 @@ impl IntoResponse for Error {
         {
             tracing::error!(error = %self, left_out, "request failed");
         }
+        let wait = match &self {
+            Self::TooOften { wait, .. } => Some(whole_seconds(*wait)),
+            _ => (status == StatusCode::SERVICE_UNAVAILABLE).then_some(1),
+        };
         let body = Json(ErrorAnswer { error: ErrorBody { code: self.code(), message: self.to_string() } });
         let mut response = (status, body).into_response();
         let headers = response.headers_mut();
@@ -150,8 +178,8 @@ impl IntoResponse for Error {
             headers.insert(header::WWW_AUTHENTICATE, challenge);
         }
         // Which methods a route has, the router says itself.
-        if status == StatusCode::SERVICE_UNAVAILABLE {
-            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+        if let Some(wait) = wait {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from(wait));
         }
         response
     }
@@ -160,6 +188,17 @@ impl IntoResponse for Error {
 impl From<store::Error> for Error {
     fn from(error: store::Error) -> Self {
         Self::Store(Arc::new(error))
+    }
+}
+
+impl From<NotSignedIn> for Error {
+    fn from(error: NotSignedIn) -> Self {
+        let words = error.to_string();
+        match error {
+            NotSignedIn::NotConfigured => Self::NotFound(words),
+            NotSignedIn::Issuer(_) => Self::Issuer(words),
+            NotSignedIn::Refused(why) => Self::Refused(Refusal::Unauthenticated(why)),
+        }
     }
 }
 

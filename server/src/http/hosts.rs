@@ -1,16 +1,16 @@
 //! Which names the port answers to.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 
 /// The names that the port answers to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hosts(Option<(IpAddr, Vec<String>)>);
 
 impl Hosts {
-    /// Of a port bound to an address, with names that lead to it besides.
+    /// Of a port at an address, with names that lead to it besides.
     #[must_use]
-    pub fn of(bound: SocketAddr, names: &[String]) -> Self {
-        Self(Some((bound.ip(), names.iter().map(|name| bare(name).to_ascii_lowercase()).collect())))
+    pub fn of(bound: IpAddr, names: &[String]) -> Self {
+        Self(Some((bound, names.iter().map(|name| bare(name).to_ascii_lowercase()).collect())))
     }
 
     /// Whatever name: for routes without a port.

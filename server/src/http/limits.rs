@@ -17,6 +17,8 @@ use crate::trace::in_current_span;
 
 /// Longest address served, bytes; the longest sensible one is a tenth of it.
 const MAX_ADDRESS: usize = 1024;
+/// ... and of where an issuer sends browsers back to: some put whole tokens into a code.
+const MAX_CALLBACK: usize = 8 << 10;
 /// Time for an answer to begin.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 /// Time for an operation on the whole map to be done: it may fold the journal again.
@@ -37,8 +39,9 @@ const LISTENERS: usize = 64;
 pub async fn guard(request: Request, next: Next) -> Response {
     let uri = request.uri();
     let length = uri.path().len() + uri.query().map_or(0, str::len);
-    if length > MAX_ADDRESS {
-        return Error::AddressTooLong { limit: MAX_ADDRESS }.into_response();
+    let limit = if uri.path() == "/session/callback" { MAX_CALLBACK } else { MAX_ADDRESS };
+    if length > limit {
+        return Error::AddressTooLong { limit }.into_response();
     }
     let operation = uri.path().starts_with("/api/v1/map/");
     let within = if operation { OPERATE_WITHIN } else { ANSWER_WITHIN };

@@ -88,7 +88,7 @@ pub async fn uploads(State(app): State<Arc<App>>, limit: FeedParameters) -> Resu
 }
 
 /// `GET /api/v1/events`, until the listener leaves or the service drains. Fixes tell where somebody is right now: only
-/// operators are told of them.
+/// operators are told of them, and of who and where in quarantine.
 ///
 /// Every event has an id: that of the last thing that happened before it or with it. A listener that names one as
 /// `Last-Event-ID` is told what happened since, or that it cannot be told.
@@ -115,7 +115,7 @@ pub async fn events(
 ) -> Result<impl IntoResponse, Error> {
     let permit = app.limiter.listen(peer)?;
     let log = Arc::clone(&app.state.feed.events);
-    let sees_fixes = caller.may(Role::Operator);
+    let sees_all = caller.may(Role::Operator);
     let map = WatchStream::new(app.state.store.progress())
         .map(|now| Told::state("map", &catalog::progress_answer(&now)));
     let progress = app.state.store.progress();
@@ -126,10 +126,10 @@ pub async fn events(
     let asked = headers.get("last-event-id").map(|id| id.to_str().ok().and_then(|id| log.number(id)));
     let (unknown, mut last) = (asked == Some(None), asked.flatten().unwrap_or_else(|| log.newest()));
     let unknown = unknown.then(|| Told::missed(None, "OTHER_RUN"));
-    let listener = tokio_stream::iter(unknown).chain(Listener::after(last, Arc::clone(&log)));
+    let listener = tokio_stream::iter(unknown).chain(Listener::after(last, Arc::clone(&log), sees_all));
     let stream = listener.merge(map).merge(health).merge(alive).filter_map(move |told| {
         last = told.number.unwrap_or(last);
-        (told.kind != "fix" || sees_fixes).then(|| Some(told.event(log.id(last))))
+        Some(Some(told.event(log.id(last))?))
     });
     // A listener hears something every two seconds, and no more once its token has expired.
     let gate = Arc::clone(&app.gate);
@@ -146,7 +146,8 @@ pub async fn events(
 /// What a listener is told.
 struct Told {
     kind: &'static str,
-    data: String,
+    /// Nothing where this listener is not told.
+    data: Option<String>,
     /// Of what happened; what only says how things are has none.
     number: Option<u64>,
 }
@@ -154,11 +155,11 @@ struct Told {
 impl Told {
     fn state(kind: &'static str, body: &impl Serialize) -> Self {
         // Our own plain structs always have a JSON form.
-        Self { kind, data: serde_json::to_string(body).unwrap_or_default(), number: None }
+        Self { kind, data: serde_json::to_string(body).ok(), number: None }
     }
 
     fn alive() -> Self {
-        Self { kind: "alive", data: String::new(), number: None }
+        Self { kind: "alive", data: Some(String::new()), number: None }
     }
 
     /// So many events are not told: `TOO_OLD` is no longer kept, `OTHER_RUN` happened before the service was started.
@@ -166,8 +167,8 @@ impl Told {
         Self::state("missed", &MissedEvent { count, reason })
     }
 
-    fn event(self, id: String) -> Event {
-        Event::default().event(self.kind).id(id).data(self.data)
+    fn event(self, id: String) -> Option<Event> {
+        Some(Event::default().event(self.kind).id(id).data(self.data?))
     }
 }
 
@@ -176,12 +177,14 @@ struct Listener {
     log: Arc<EventLog>,
     moved: WatchStream<u64>,
     last: u64,
+    /// Whether it is told what viewers are not.
+    all: bool,
     next: std::vec::IntoIter<Arc<NumberedEvent>>,
 }
 
 impl Listener {
-    fn after(last: u64, log: Arc<EventLog>) -> Self {
-        Self { moved: WatchStream::new(log.follow()), log, last, next: Vec::new().into_iter() }
+    fn after(last: u64, log: Arc<EventLog>, all: bool) -> Self {
+        Self { moved: WatchStream::new(log.follow()), log, last, all, next: Vec::new().into_iter() }
     }
 }
 
@@ -192,7 +195,8 @@ impl Stream for Listener {
         loop {
             if let Some(event) = self.next.next() {
                 self.last = event.number;
-                let (kind, data) = (event.kind, event.data.clone());
+                let data = if self.all { Some(event.data.clone()) } else { event.for_viewers.clone() };
+                let kind = event.kind;
                 return Poll::Ready(Some(Told { kind, data, number: Some(event.number) }));
             }
             let (gone, events) = self.log.after(self.last);

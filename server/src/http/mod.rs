@@ -2,7 +2,7 @@
 //!
 //! - `answers`: what is answered in JSON, as types.
 //! - `access`: who asks, and whether they may.
-//! - `session`: browsers sign in and out.
+//! - `session`: browsers sign in and out; `sign_in`: at an issuer.
 //! - `error`: why a request was not answered, said once.
 //! - `outside`: how callers address the port, with proxies in front.
 //! - `cors`: which pages of other origins may ask it.
@@ -53,6 +53,7 @@ mod quarantine;
 mod raster;
 mod region_days;
 mod session;
+mod sign_in;
 #[cfg(test)]
 pub(crate) mod testing;
 
@@ -70,7 +71,7 @@ use tower::util::MapRequestLayer;
 use crate::access_log::AccessLogLayer;
 use crate::feed::Feed;
 use crate::health::Health;
-use crate::identity::Gate;
+use crate::identity::{Gate, Rates, RatesConfig};
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::port::Port;
@@ -134,20 +135,21 @@ struct App {
     past: past::PastMaps,
     limiter: limits::Limiter,
     gate: Arc<Gate>,
+    rates: Arc<Rates>,
 }
 
 /// The routes, whatever name they are asked for by, and by whomever.
 pub fn router(state: HttpState) -> Router {
-    router_at(state, Place::any(), Arc::new(Gate::open()))
+    router_at(state, Place::any(), (Arc::new(Gate::open()), Arc::new(Rates::of(&RatesConfig::default()))))
 }
 
 /// The routes of a port, ready to be served.
-pub fn router_at(state: HttpState, place: Place, gate: Arc<Gate>) -> Router {
+pub fn router_at(state: HttpState, place: Place, (gate, rates): (Arc<Gate>, Arc<Rates>)) -> Router {
     let artist = raster::Artist::new(Arc::clone(&state.store), Arc::clone(&state.expectations));
     let artist = Arc::new(artist);
     let (past, limiter) =
         (past::PastMaps::new(state.address_share), limits::Limiter::of_port(state.address_share));
-    let app = Arc::new(App { state, artist, past, limiter, gate });
+    let app = Arc::new(App { state, artist, past, limiter, gate, rates });
     let (cors, base_path) = (place.origins.layer(), place.base_path.clone());
     let routes = routes()
         .into_iter()
@@ -204,6 +206,9 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/uploads", get(live::uploads)),
         ("/api/v1/events", get(live::events)),
         ("/session", get(session::who).post(session::sign_in).delete(session::sign_out)),
+        ("/session/ways", get(sign_in::ways)),
+        ("/session/oidc", get(sign_in::begin)),
+        ("/session/callback", get(sign_in::finish)),
         ("/openapi.json", get(openapi::document)),
         ("/", get(console::page)),
         ("/assets/{name}", get(console::asset)),

@@ -16,6 +16,7 @@ use super::answers::MissedEvent;
 use super::outside::Outside;
 use super::{
     catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session,
+    sign_in,
 };
 use crate::feed::QuarantineEvent;
 use crate::identity::COOKIE;
@@ -55,6 +56,7 @@ const HERE: &str = "/";
         decisions::rollback, decisions::revoke, decisions::undo, decisions::compact, decisions::settle,
         files::export, files::import, files::backup, live::fixes, live::uploads, live::events,
         probes::healthz, probes::readyz, probes::metrics, session::who, session::sign_in, session::sign_out,
+        sign_in::ways, sign_in::begin, sign_in::finish,
         document, console::page, console::asset,
     ),
     // Events of the stream, which no operation names.
@@ -88,14 +90,15 @@ impl Modify for Common {
         for (path, item) in &mut document.paths.paths {
             for (method, operation) in operations_of(item) {
                 if let Some(access) = access::of(Call::Http(method, &route_of(path))) {
-                    described(operation, access);
+                    described(operation, path, access);
                 }
             }
         }
     }
 }
 
-const SESSION: &str = "The cookie that `POST /session` gives to a browser for a token.";
+const SESSION: &str = "The cookie that signing in gives to a browser. What changes anything also takes the header \
+    `x-echofix-csrf`, with what `GET /session` says.";
 const CERTIFICATE: &str =
     "A client certificate of the authority in `tls.client_ca`, or one whose fingerprint is listed.";
 
@@ -121,7 +124,7 @@ fn operations_of(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mu
 }
 
 /// Says who may ask, and how those are answered who may not.
-fn described(operation: &mut Operation, access: Access) {
+fn described(operation: &mut Operation, path: &str, access: Access) {
     operation.description = operation.description.take().filter(|text| !text.is_empty());
     let known = || {
         ["token", "session", "certificate"].map(|name| SecurityRequirement::new(name, Vec::<String>::new()))
@@ -143,6 +146,9 @@ fn described(operation: &mut Operation, access: Access) {
         operation.extensions.get_or_insert_default().merge(extension);
         told("401", "Who asks is not known.");
         told("403", "The caller's role is not enough, or a page of another origin asks.");
+    }
+    if path != "/healthz" && path != "/readyz" {
+        told("429", "The caller, or its address, asks too often; `Retry-After` says when to ask again.");
     }
     told("414", "The address is longer than 1024 bytes.");
     told("default", "Any other refusal or failure.");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use echofix_core::geo::{Grid, TileId};
@@ -19,7 +19,7 @@ use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
 use super::raster::corners;
-use crate::identity::Caller;
+use crate::identity::{Caller, Role};
 use crate::shares::Peer;
 use crate::store::{Decision, EventKind, HistoryEvent, Operations, TileDiff};
 use crate::trace::in_current_span;
@@ -56,6 +56,7 @@ pub struct HistoryQuery {
 pub async fn history(
     State(app): State<Arc<App>>,
     peer: Peer,
+    Extension(caller): Extension<Arc<Caller>>,
     limit: Result<Query<HistoryQuery>, QueryRejection>,
 ) -> Result<Response, Error> {
     let limit = limit?.0.limit.unwrap_or(100);
@@ -66,10 +67,13 @@ pub async fn history(
     // It is read from memory: no operation that folds the map is waited for.
     let found = app.limiter.work(peer, move || Ok((operations.history(limit), operations.epochs())));
     let (events, (oldest, newest)) = found.await?;
-    Ok(fresh(HistoryAnswer { events: events.into_iter().map(event).collect(), oldest, newest }))
+    let names = caller.may(Role::Operator);
+    let events = events.into_iter().map(|told| event(told, names)).collect();
+    Ok(fresh(HistoryAnswer { events, oldest, newest }))
 }
 
-fn event(event: HistoryEvent) -> EventAnswer {
+/// An event, with the contributor's hash where it `names` one.
+fn event(event: HistoryEvent, names: bool) -> EventAnswer {
     let what = match event.what {
         EventKind::Uploads { uploads, contributors, taken_back } => {
             Happened::Uploads { uploads, contributors, taken_back }
@@ -81,7 +85,8 @@ fn event(event: HistoryEvent) -> EventAnswer {
             let remarked = RemarkedAnswer { at_us, by: remark.by, reason: remark.reason, undone_by };
             match decision {
                 Decision::RevokeContributor(hash) => {
-                    Happened::RevokeContributor { of: hash_word(hash), takes_back, remarked }
+                    let of = names.then(|| hash_word(hash));
+                    Happened::RevokeContributor { of, takes_back, remarked }
                 }
                 Decision::RevokeUpload(id) => {
                     Happened::RevokeUpload { of: id.to_string(), takes_back, remarked }

@@ -113,7 +113,7 @@ mod tests {
     use axum::body::Body;
 
     fn seen(headers: &[(&str, &str)]) -> String {
-        let hosts = Hosts::of("127.0.0.1:8080".parse().unwrap(), &["maps.example".to_owned()]);
+        let hosts = Hosts::of("127.0.0.1".parse().unwrap(), &["maps.example".to_owned()]);
         let request = Request::builder().uri("/tiles/age.json");
         let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
         Outside::of(&request.body(Body::empty()).unwrap(), false, &hosts, "/base").address()

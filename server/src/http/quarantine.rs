@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::response::Response;
 use echofix_core::datum::Offset;
 use echofix_core::geo::{Grid, Zone};
@@ -19,7 +19,8 @@ use super::contributor::hash_word;
 use super::day::iso_date;
 use super::error::Error;
 use super::operations::fresh;
-use crate::feed::{MapOffset, Place, QuarantineEvent};
+use crate::feed::{MapOffset, Place, QuarantineEvent, Watched};
+use crate::identity::{Caller, Role};
 use crate::shares::Peer;
 use crate::store::QuarantinedRecord;
 
@@ -39,7 +40,11 @@ const MAX_LISTED: usize = 10_000;
         (status = 503, description = BUSY, body = ErrorAnswer),
     )
 )]
-pub async fn quarantine(State(app): State<Arc<App>>, peer: Peer) -> Result<Response, Error> {
+pub async fn quarantine(
+    State(app): State<Arc<App>>,
+    peer: Peer,
+    Extension(caller): Extension<Arc<Caller>>,
+) -> Result<Response, Error> {
     let limits = app.state.alarm_limits;
     let operations = Arc::clone(&app.state.operations);
     let read = app.limiter.work(peer, move || {
@@ -49,9 +54,17 @@ pub async fn quarantine(State(app): State<Arc<App>>, peer: Peer) -> Result<Respo
         Ok((kept_out, operations.upload_ids(&listed), alarms(&entries, &limits)))
     });
     let (kept_out, ids, alarms) = read.await?;
-    let alarms = alarms.iter().map(alarm_answer).collect();
+    let mut alarms: Vec<_> = alarms.iter().map(alarm_answer).collect();
     let newest = kept_out.iter().rev().take(MAX_LISTED);
-    let uploads = newest.map(|record| quarantine_event(record, ids.get(&record.number).copied())).collect();
+    let events = newest.map(|record| quarantine_event(record, ids.get(&record.number).copied()));
+    let uploads = if caller.may(Role::Operator) {
+        events.collect()
+    } else {
+        for alarm in &mut alarms {
+            alarm.place = alarm.place.map(Place::coarse);
+        }
+        events.filter_map(|event| event.for_viewers()).collect()
+    };
     Ok(fresh(QuarantineAnswer { quarantined: kept_out.len(), uploads, alarms }))
 }
 
@@ -61,7 +74,7 @@ pub fn quarantine_event(record: &QuarantinedRecord, id: Option<Uuid>) -> Quarant
     QuarantineEvent {
         epoch: record.number,
         upload_id: id.map(|id| id.to_string()),
-        contributor: hash_word(upload.contributor),
+        contributor: Some(hash_word(upload.contributor)),
         reason: reason_word(record.reason),
         date: iso_date(upload.day),
         place: place(upload.zone, upload.position),

@@ -15,7 +15,7 @@ use super::App;
 use super::answers::{CallerAnswer, ErrorAnswer, MALFORMED};
 use super::error::Error;
 use super::outside::Outside;
-use crate::identity::{Caller, CookieScope, Peer, Role};
+use crate::identity::{Caller, CookieScope, RemoteEnd, Role};
 
 /// With what a browser signs in.
 #[derive(Deserialize, ToSchema)]
@@ -26,7 +26,8 @@ pub struct SessionBody {
     token: String,
 }
 
-type OnPeer = Option<Extension<Arc<Peer>>>;
+/// The other end of the connection, where a request came by one.
+pub type OnPeer = Option<Extension<Arc<RemoteEnd>>>;
 
 /// `GET /session`
 #[utoipa::path(
@@ -40,8 +41,13 @@ type OnPeer = Option<Extension<Arc<Peer>>>;
         (status = 200, description = "The caller.", body = CallerAnswer),
     )
 )]
-pub async fn who(Extension(caller): Extension<Arc<Caller>>) -> Response {
-    ([(header::CACHE_CONTROL, "no-store")], Json(caller_answer(&caller))).into_response()
+pub async fn who(
+    State(app): State<Arc<App>>,
+    Extension(caller): Extension<Arc<Caller>>,
+    headers: HeaderMap,
+) -> Response {
+    let answer = caller_answer(&caller, app.gate.page_token(&headers));
+    ([(header::CACHE_CONTROL, "no-store")], Json(answer)).into_response()
 }
 
 /// `POST /session`
@@ -70,7 +76,8 @@ pub async fn sign_in(
         app.gate.sign_in(token.trim(), peer.as_deref().map(|peer| &**peer), scope(&outside))?;
     tracing::info!(%caller, "signed in");
     let headers = [(header::CACHE_CONTROL, "no-store".to_owned()), (header::SET_COOKIE, cookie)];
-    Ok((headers, Json(caller_answer(&caller))).into_response())
+    // The page asks `GET /session` for what it must bring: with the cookie that it now has.
+    Ok((headers, Json(caller_answer(&caller, None))).into_response())
 }
 
 /// `DELETE /session`
@@ -96,12 +103,13 @@ pub async fn sign_out(
 }
 
 /// Other programs of a proxy's name are not sent this one's sessions.
-fn scope(outside: &Outside) -> CookieScope<'_> {
+pub(super) fn scope(outside: &Outside) -> CookieScope<'_> {
     CookieScope { path: &outside.prefix, encrypted: outside.encrypted }
 }
 
-fn caller_answer(caller: &Caller) -> CallerAnswer {
+fn caller_answer(caller: &Caller, csrf: Option<String>) -> CallerAnswer {
     CallerAnswer {
+        csrf,
         name: caller.name.clone(),
         roles: caller.roles.iter().map(Role::name).collect(),
         known_by: caller.known.word(),

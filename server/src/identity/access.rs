@@ -53,6 +53,9 @@ pub const TABLE: &[(Call<'static>, Access)] = &[
     (Http("GET", "/session"), AnyRole),
     (Http("POST", "/session"), Open),
     (Http("DELETE", "/session"), Open),
+    (Http("GET", "/session/ways"), Open),
+    (Http("GET", "/session/oidc"), Open),
+    (Http("GET", "/session/callback"), Open),
     // The map as it is served.
     (Http("GET", "/tiles/{layer}"), Least(Viewer)),
     (Http("GET", "/tiles/{layer}/{z}/{x}/{y}"), Least(Viewer)),

@@ -1,10 +1,10 @@
 //! Who asks, and how that is known.
 
 use std::fmt;
-use std::net::IpAddr;
 
 use super::jwt::Lease;
 use super::role::{Role, Roles};
+use crate::listen::RemoteAddress;
 
 /// Characters of a caller's name, at most; contributors' names have no more.
 const MAX_NAME: usize = 64;
@@ -22,6 +22,8 @@ pub enum Known {
     Token,
     /// By a token of the configured issuer (JWT), or a session that began with one.
     Jwt,
+    /// By signing in at the configured issuer (`OpenID` Connect): a session.
+    Oidc,
     /// By the header of a proxy on this machine.
     Proxy,
 }
@@ -36,6 +38,7 @@ impl Known {
             Self::Certificate => "certificate",
             Self::Token => "token",
             Self::Jwt => "jwt",
+            Self::Oidc => "oidc",
             Self::Proxy => "proxy",
         }
     }
@@ -51,7 +54,7 @@ pub struct Caller {
     /// How both are known.
     pub known: Known,
     /// Where the connection comes from.
-    pub address: Option<IpAddr>,
+    pub address: Option<RemoteAddress>,
     /// For how long this holds, where a token says so.
     pub lease: Option<Lease>,
 }
@@ -97,7 +100,7 @@ impl Caller {
         match self.known {
             Known::Unasked => return Ok(named.to_owned()),
             Known::Anonymous => return Ok(format!("?{named}")),
-            Known::Certificate | Known::Token | Known::Jwt | Known::Proxy => {}
+            Known::Certificate | Known::Token | Known::Jwt | Known::Oidc | Known::Proxy => {}
         }
         let vouches = self.roles.include(Role::Gateway).then(|| format!("{}/", self.name));
         let below = |vouches: &String| named.len() > vouches.len() && named.starts_with(vouches.as_str());

@@ -5,8 +5,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::jwt;
 use super::role::{Role, Roles};
+use super::{jwt, oidc};
+use crate::listen::ListenAddress;
 
 /// What encrypts both ports. An empty path is none.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,6 +59,20 @@ pub struct IdentityConfig {
     pub jwt_roles: Vec<String>,
     /// By how much the issuer's clock may differ, seconds.
     pub jwt_leeway_s: u64,
+    /// The issuer at which browsers sign in (`OpenID` Connect). Empty: with tokens only.
+    pub oidc_issuer: String,
+    /// PEM of the authorities of that issuer's address; empty takes those of the system.
+    pub oidc_ca: String,
+    /// The name by which the issuer knows this service.
+    pub oidc_client_id: String,
+    /// The file with what proves that name; empty for a public client.
+    pub oidc_client_secret: String,
+    /// Where the issuer sends browsers back to.
+    pub oidc_redirect: String,
+    /// What is asked for.
+    pub oidc_scopes: Vec<String>,
+    /// How long a session lasts that began so, seconds.
+    pub oidc_session_s: u64,
 }
 
 /// A file that cannot be used.
@@ -79,7 +94,7 @@ pub enum Error {
          - tokens: `echofix token create --role operator --name NAME --file FILE`, `identity.tokens` and \
          `tls.certificate`;\n  \
          - tokens of an issuer (JWT): `identity.jwt_jwks` and those beside it, and `tls.certificate`;\n  \
-         - a proxy on this machine that authenticates: listen on 127.0.0.1 and set `identity.proxy_header`;\n  \
+         - a proxy on this machine that authenticates: listen on 127.0.0.1 or a unix socket, and set `identity.proxy_header`;\n  \
          - nobody is asked: `--anonymous=vehicle`, `--anonymous=mapper` or `--anonymous=operator`;\n  \
          - only this machine: listen on 127.0.0.1"
     )]
@@ -138,6 +153,7 @@ impl IdentityConfig {
         !(tls.client_ca.is_empty()
             && self.tokens.is_empty()
             && self.jwt_jwks.is_empty()
+            && self.oidc_issuer.is_empty()
             && self.proxy_header.is_empty())
     }
 
@@ -154,18 +170,21 @@ impl IdentityConfig {
 ///
 /// # Errors
 /// The first rule that is broken.
-pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<(), Error> {
-    let rules = [rules(tls, identity), jwt::rules_of(identity)].concat();
+pub fn check(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress]) -> Result<(), Error> {
+    let rules = [rules(tls, identity), jwt::rules_of(identity), oidc::rules_of(identity)].concat();
     if let Some((key, _, rule)) = rules.into_iter().find(|(_, holds, _)| !holds) {
         return Err(Error::Value { key, rule });
     }
-    let Some(&address) = listen.iter().find(|address| !address.ip().to_canonical().is_loopback()) else {
-        return Ok(());
-    };
+    let foreign = listen.iter().find_map(|address| match address {
+        ListenAddress::Tcp(tcp) if !address.is_local() => Some(*tcp),
+        _ => None,
+    });
+    let Some(address) = foreign else { return Ok(()) };
     if identity.strangers(tls) == Strangers::Unasked {
         return Err(Error::Nobody { address });
     }
-    let takes_tokens = !identity.tokens.is_empty() || !identity.jwt_jwks.is_empty();
+    let takes_tokens =
+        [&identity.tokens, &identity.jwt_jwks, &identity.oidc_issuer].into_iter().any(|way| !way.is_empty());
     if takes_tokens && !tls.is_on() && !identity.plaintext {
         return Err(Error::Readable { address });
     }
@@ -225,14 +244,14 @@ mod tests {
         IdentityConfig { anonymous: "auto".to_owned(), ..IdentityConfig::default() }
     }
 
-    fn at(address: &str) -> [SocketAddr; 1] {
+    fn at(address: &str) -> [ListenAddress; 1] {
         [address.parse().unwrap()]
     }
 
     /// Catches: a port that others reach and that asks nobody because nobody thought of it.
     #[test]
     fn a_port_that_others_reach_needs_identity_or_words() {
-        for own in ["127.0.0.1:1", "[::1]:1", "127.9.9.9:1", "[::ffff:127.0.0.1]:1"] {
+        for own in ["127.0.0.1:1", "[::1]:1", "127.9.9.9:1", "[::ffff:127.0.0.1]:1", "unix:/run/a"] {
             assert_eq!(check(&tls(), &identity(), &at(own)), Ok(()), "{own}");
         }
         for open in ["0.0.0.0:1", "[::]:1", "10.0.0.7:1", "[::ffff:10.0.0.7]:1"] {

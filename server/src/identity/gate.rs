@@ -1,55 +1,40 @@
 //! From a request's connection and headers to its caller, and whether that may do it. Both ports ask here.
 
-use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use arc_swap::ArcSwap;
-use axum::http::{HeaderMap, header};
+use axum::http::HeaderMap;
 use rustls::pki_types::CertificateDer;
 
 use super::access::{self, Access, Call};
 use super::caller::{Caller, Known};
 use super::certificate::role_and_name;
 use super::config::{Error, IdentityConfig, Strangers, TlsConfig, TlsError, check};
+use super::headers::{bearer, is_forged, session};
 use super::jwt::{self, Told};
-use super::peer::{Closing, Entry, Peer, Peers};
+use super::oidc::{self, Flows};
+use super::refusal::{Refusal, refused};
+use super::remote_end::{Closing, Entry, RemoteEnd, RemoteEnds};
 use super::role::{Role, Roles};
-use super::sessions::{Basis, COOKIE, Sessions};
+use super::sessions::{Basis, Sessions};
 use super::tls::{Files, Identified, now_s};
 use super::tokens::{TokenHash, hash_of};
-
-/// Why a call is not answered.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// It is not in the table.
-    #[error("nothing is served under this name and method")]
-    NotServed,
-    /// Nobody knows who asks.
-    #[error("{0}")]
-    Unauthenticated(String),
-    /// It is known who asks, and that is not enough.
-    #[error("this takes the role {least}; {name} has {roles}")]
-    Forbidden {
-        /// The least role that may.
-        least: Role,
-        /// Who asks.
-        name: String,
-        /// As what.
-        roles: Roles,
-    },
-}
+use crate::listen::{ListenAddress, RemoteAddress};
 
 /// Who is let in, and for what.
 pub struct Gate {
     tls: TlsConfig,
-    identity: IdentityConfig,
+    pub(super) identity: IdentityConfig,
     strangers: Strangers,
     current: ArcSwap<Identified>,
     /// What it was made from.
     files: Mutex<Files>,
-    peers: Arc<Peers>,
-    sessions: Sessions,
+    ends: Arc<RemoteEnds>,
+    pub(super) sessions: Sessions,
+    pub(super) flows: Flows,
+    /// What proves this service to the issuer.
+    pub(super) secret: Option<String>,
     /// The address of an issuer's keys.
     keys: jwt::Source,
 }
@@ -68,22 +53,23 @@ impl Gate {
         strangers: Strangers,
         (files, current): (Files, Identified),
     ) -> Self {
-        let (peers, sessions, current) =
-            (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
+        let (ends, sessions, current) = (Arc::default(), Sessions::default(), ArcSwap::from_pointee(current));
         let files = Mutex::new(files);
-        Self { tls, identity, strangers, current, files, peers, sessions, keys: jwt::Source::default() }
+        let (keys, flows, secret) = (jwt::Source::default(), Flows::default(), None);
+        Self { tls, identity, strangers, current, files, ends, sessions, flows, secret, keys }
     }
 
     /// As configured, for ports at these addresses. Reads the files.
     ///
     /// # Errors
     /// When others reach a port and nobody is asked, or a file cannot be used.
-    pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[SocketAddr]) -> Result<Self, Error> {
+    pub fn of(tls: &TlsConfig, identity: &IdentityConfig, listen: &[ListenAddress]) -> Result<Self, Error> {
         check(tls, identity, listen)?;
         let files = Files::read(tls, identity, &jwt::Source::default())?;
         let identified = Identified::of(&files, tls, identity)?;
         let strangers = identity.strangers(tls);
-        Ok(Self::with(tls.clone(), identity.clone(), strangers, (files, identified)))
+        let secret = oidc::client_secret(identity)?;
+        Ok(Self { secret, ..Self::with(tls.clone(), identity.clone(), strangers, (files, identified)) })
     }
 
     /// What connections are held against from now on.
@@ -99,7 +85,7 @@ impl Gate {
     pub(super) fn refresh(&self) -> Result<(bool, usize), TlsError> {
         let changed = self.replace();
         let all = changed.as_ref().is_ok_and(|changed| *changed);
-        let ended = self.peers.sweep(&self.current.load(), all);
+        let ended = self.ends.sweep(&self.current.load(), all);
         changed.map(|changed| (changed, ended))
     }
 
@@ -128,19 +114,19 @@ impl Gate {
     #[must_use]
     pub fn enter(
         &self,
-        address: SocketAddr,
+        address: RemoteAddress,
         encrypted: bool,
         chain: Option<&[CertificateDer<'_>]>,
     ) -> (Entry, Closing) {
-        let (peer, closing) = Peer::new(address, encrypted, chain, &self.identity.trust_domain);
-        (self.peers.enter(peer), closing)
+        let (end, closing) = RemoteEnd::new(address, encrypted, chain, &self.identity.trust_domain);
+        (self.ends.enter(end), closing)
     }
 
     /// Ends a connection that was let in by what no longer counts: what changed between its beginning and its entry.
-    pub fn recheck(&self, before: &Arc<Identified>, peer: &Peer) {
+    pub fn recheck(&self, before: &Arc<Identified>, end: &RemoteEnd) {
         let now = self.current.load();
-        if !Arc::ptr_eq(before, &now) && !peer.passes(&now) {
-            peer.end();
+        if !Arc::ptr_eq(before, &now) && !end.passes(&now) {
+            end.end();
         }
     }
 
@@ -157,9 +143,14 @@ impl Gate {
     ///
     /// # Errors
     /// Why they may not.
-    pub fn admit(&self, call: Call<'_>, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
+    pub fn admit(
+        &self,
+        call: Call<'_>,
+        end: Option<&RemoteEnd>,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Refusal> {
         let access = access::of(call).ok_or(Refusal::NotServed)?;
-        let caller = self.caller(peer, headers);
+        let caller = self.caller(call, end, headers);
         let least = match access {
             Access::Open => None,
             Access::Metrics if self.identity.open_metrics => None,
@@ -174,10 +165,15 @@ impl Gate {
             name: String::new(),
             roles: Roles::default(),
             known: Known::Anonymous,
-            address: peer.map(|peer| peer.address.ip()),
+            address: end.map(|end| end.address),
             lease: None,
         };
-        let Some(least) = least else { return Ok(caller.unwrap_or_else(|_| nobody())) };
+        let Some(least) = least else {
+            return match caller {
+                Err(Refusal::Forged) => Err(Refusal::Forged),
+                caller => Ok(caller.unwrap_or_else(|_| nobody())),
+            };
+        };
         let caller = caller?;
         if caller.may(least) {
             return Ok(caller);
@@ -191,31 +187,37 @@ impl Gate {
 
     /// A token beats a session, that a certificate, that a proxy's word; one that is wrong is an error, and not as if there
     /// were none.
-    fn caller(&self, peer: Option<&Peer>, headers: &HeaderMap) -> Result<Caller, Refusal> {
-        let address = peer.map(|peer| peer.address.ip());
+    fn caller(
+        &self,
+        call: Call<'_>,
+        end: Option<&RemoteEnd>,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Refusal> {
+        let address = end.map(|end| end.address);
         if self.strangers == Strangers::Unasked {
             return Ok(Caller { address, ..Caller::unasked() });
         }
-        if peer.is_some_and(Peer::is_over) {
+        if end.is_some_and(RemoteEnd::is_over) {
             return Err(refused("the certificate of this connection no longer passes; connect again"));
         }
         if let Some(token) = bearer(headers)? {
-            return self.bearer(token, peer).map(|(caller, _)| caller);
+            return self.bearer(token, end).map(|(caller, _)| caller);
         }
         if let Some(id) = session(headers) {
             let over = || refused("the session is over; sign in again");
             let caller = match self.sessions.basis(id, Instant::now()).ok_or_else(over)? {
-                Basis::Token(token) => self.holder(token, peer),
+                Basis::Token(token) => self.holder(token, end),
                 Basis::Jwt(caller) => Some(Caller { address, ..caller }).filter(|caller| self.holds(caller)),
             };
-            return caller.ok_or_else(over);
+            let caller = caller.ok_or_else(over)?;
+            return if is_forged(call, id, headers) { Err(Refusal::Forged) } else { Ok(caller) };
         }
-        if let Some(subject) = peer.and_then(Peer::subject) {
+        if let Some(subject) = end.and_then(RemoteEnd::subject) {
             let subject = subject.as_ref().map_err(|reason| refused(reason))?;
             let (name, roles) = (subject.name.clone(), subject.roles);
             return Ok(Caller { name, roles, known: Known::Certificate, address, lease: None });
         }
-        if let Some(told) = self.told_by_proxy(peer, headers) {
+        if let Some(told) = self.told_by_proxy(end, headers) {
             let (role, name) = told?;
             let (name, roles) = (name.to_owned(), role.into());
             return Ok(Caller { name, roles, known: Known::Proxy, address, lease: None });
@@ -225,9 +227,9 @@ impl Gate {
     }
 
     /// Who brings a bearer token, and what a session with it rests on.
-    fn bearer(&self, token: &str, peer: Option<&Peer>) -> Result<(Caller, Basis), Refusal> {
+    pub(super) fn bearer(&self, token: &str, end: Option<&RemoteEnd>) -> Result<(Caller, Basis), Refusal> {
         let hash = hash_of(token);
-        if let Some(caller) = self.holder(hash, peer) {
+        if let Some(caller) = self.holder(hash, end) {
             return Ok((caller, Basis::Token(hash)));
         }
         if self.identity.jwt_jwks.is_empty() || !jwt::looks_like_one(token) {
@@ -240,7 +242,7 @@ impl Gate {
             }
             refused(&error.to_string())
         })?;
-        let (Told { name, roles, lease }, address) = (told, peer.map(|peer| peer.address.ip()));
+        let (Told { name, roles, lease }, address) = (told, end.map(|end| end.address));
         let caller = Caller { name, roles, known: Known::Jwt, address, lease: Some(lease) };
         Ok((caller.clone(), Basis::Jwt(caller)))
     }
@@ -248,7 +250,10 @@ impl Gate {
     /// Whether what told of a caller still counts: the token's time is not over, and its key is still the issuer's.
     #[must_use]
     pub fn holds(&self, caller: &Caller) -> bool {
-        caller.lease.as_ref().is_none_or(|lease| lease.holds(&self.current.load().keys, now_s()))
+        caller.lease.as_ref().is_none_or(|lease| match caller.known {
+            Known::Oidc => self.flows.holds(lease, now_s()),
+            _ => lease.holds(&self.current.load().keys, now_s()),
+        })
     }
 
     pub(super) fn identity(&self) -> &IdentityConfig {
@@ -259,24 +264,30 @@ impl Gate {
         &self.keys
     }
 
-    fn holder(&self, token: TokenHash, peer: Option<&Peer>) -> Option<Caller> {
+    fn holder(&self, token: TokenHash, end: Option<&RemoteEnd>) -> Option<Caller> {
         let current = self.current.load();
         let holder = current.tokens.holder(&token)?;
-        peer.inspect(|peer| peer.note(token));
-        let address = peer.map(|peer| peer.address.ip());
+        end.inspect(|end| end.note(token));
+        let address = end.map(|end| end.address);
         let (name, roles) = (holder.name.clone(), holder.roles);
         Some(Caller { name, roles, known: Known::Token, address, lease: None })
+    }
+
+    /// Whether the address of a connection stands for those who call by it: not where nobody is asked, and not a proxy's.
+    #[must_use]
+    pub fn counts(&self, end: Option<&RemoteEnd>) -> bool {
+        let proxy = !self.identity.proxy_header.is_empty() && end.is_some_and(RemoteEnd::is_local);
+        self.strangers != Strangers::Unasked && !proxy
     }
 
     /// What a proxy on this machine says; anybody else's header says nothing.
     fn told_by_proxy<'a>(
         &self,
-        peer: Option<&Peer>,
+        end: Option<&RemoteEnd>,
         headers: &'a HeaderMap,
     ) -> Option<Result<(Role, &'a str), Refusal>> {
         let header = &self.identity.proxy_header;
-        let local = peer.is_some_and(|peer| peer.address.ip().to_canonical().is_loopback());
-        if header.is_empty() || !local {
+        if header.is_empty() || !end.is_some_and(RemoteEnd::is_local) {
             return None;
         }
         let mut values = headers.get_all(header.as_str()).iter();
@@ -285,54 +296,6 @@ impl Gate {
         let told = value.to_str().ok().and_then(role_and_name).filter(|_| only);
         Some(told.ok_or_else(|| refused("the proxy's header is not ROLE/NAME, or there are several")))
     }
-
-    /// Begins a browser's session with a token; returns the cookie that stands for it.
-    ///
-    /// # Errors
-    /// When the token is not known, or the system has no randomness.
-    pub fn sign_in(
-        &self,
-        token: &str,
-        peer: Option<&Peer>,
-        scope: CookieScope<'_>,
-    ) -> Result<(Caller, String), Refusal> {
-        let (caller, basis) = self.bearer(token, peer)?;
-        let id = self.sessions.begin(basis, Instant::now());
-        let id = id.map_err(|error| refused(&format!("no session can begin: {error}")))?;
-        let lasts = super::sessions::LASTS.as_secs();
-        Ok((caller, cookie(&id, lasts, self.within(scope, peer))))
-    }
-
-    /// Ends the session of a request; returns the cookie that says so to the browser.
-    pub fn sign_out(&self, peer: Option<&Peer>, headers: &HeaderMap, scope: CookieScope<'_>) -> String {
-        session(headers).inspect(|id| self.sessions.end(id));
-        cookie("", 0, self.within(scope, peer))
-    }
-
-    /// Is a browser's connection encrypted, here or by something in front?
-    fn within<'a>(&self, scope: CookieScope<'a>, peer: Option<&Peer>) -> CookieScope<'a> {
-        let encrypted = scope.encrypted || self.identity.plaintext || peer.is_some_and(|peer| peer.encrypted);
-        CookieScope { encrypted, ..scope }
-    }
-}
-
-/// Where a browser's cookie goes.
-#[derive(Debug, Clone, Copy)]
-pub struct CookieScope<'a> {
-    /// The path under which the port is shown; empty for the root.
-    pub path: &'a str,
-    /// Whether what is in front says that the browser's connection is encrypted.
-    pub encrypted: bool,
-}
-
-fn cookie(id: &str, lasts_s: u64, CookieScope { path, encrypted }: CookieScope<'_>) -> String {
-    let secure = if encrypted { "; Secure" } else { "" };
-    let path = if path.is_empty() { "/" } else { path };
-    format!("{COOKIE}={id}; Path={path}; Max-Age={lasts_s}; HttpOnly; SameSite=Strict{secure}")
-}
-
-fn refused(why: &str) -> Refusal {
-    Refusal::Unauthenticated(why.to_owned())
 }
 
 fn unknown() -> Refusal {
@@ -340,25 +303,4 @@ fn unknown() -> Refusal {
         "who asks is not known; show a client certificate, or a token as `authorization: Bearer TOKEN` (the command takes \
          --cert and --key, or --token)",
     )
-}
-
-/// The token of a request; an error when there is something else in its place.
-fn bearer(headers: &HeaderMap) -> Result<Option<&str>, Refusal> {
-    let mut values = headers.get_all(header::AUTHORIZATION).iter();
-    let Some(value) = values.next() else { return Ok(None) };
-    let token = value.to_str().ok().and_then(|value| {
-        let (scheme, token) = value.split_once(' ')?;
-        scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
-    });
-    match (token, values.next()) {
-        (Some(token), None) => Ok(Some(token)),
-        _ => Err(refused("the authorization header is not one `Bearer TOKEN`")),
-    }
-}
-
-/// The id of a browser's session.
-fn session(headers: &HeaderMap) -> Option<&str> {
-    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
-    let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| *name == COOKIE).map(|(_, id)| id)
 }

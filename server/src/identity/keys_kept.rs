@@ -3,16 +3,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use reqwest::{Certificate, Client};
+use reqwest::Client;
 
 use super::gate::Gate;
 use super::jwt::{MAX_SET_BYTES, check, is_address};
 use super::reload::refresh;
 use crate::metrics::Metrics;
+use crate::outgoing;
 use crate::sparse;
 
-/// How long one look at the address may take.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Between two looks, at least, however many unknown keys come.
 const REST: Duration = Duration::from_secs(5);
 /// After a look that failed.
@@ -23,29 +22,23 @@ const AGAIN: Duration = Duration::from_secs(15);
 pub async fn keep(gate: Arc<Gate>, metrics: Arc<Metrics>) {
     let config = gate.identity();
     if !is_address(&config.jwt_jwks) {
-        return;
+        return keep_issuer(&gate, &metrics).await;
     }
     let (url, every) = (config.jwt_jwks.clone(), Duration::from_secs(config.jwt_refresh_s.max(1)));
     loop {
-        let fetched = match client(&config.jwt_jwks_ca) {
+        let fetched = match outgoing::client(&config.jwt_jwks_ca) {
             Ok(client) => fetch(&client, &url).await,
             Err(reason) => Err(reason),
         };
         let wait = match fetched {
             Ok(bytes) => {
+                gate.refresh_issuer().await.unwrap_or_else(|error| unreachable(&error, &metrics));
                 gate.key_source().put(bytes);
                 refresh(&gate, &metrics).await;
                 every
             }
             Err(error) => {
-                metrics.tls_reload_failures.inc();
-                if let Some(left_out) = sparse::line("the issuer's keys cannot be fetched") {
-                    tracing::error!(
-                        error,
-                        left_out,
-                        "the issuer's keys cannot be fetched; the last good ones stay"
-                    );
-                }
+                unreachable(&error, &metrics);
                 AGAIN.min(every)
             }
         };
@@ -56,33 +49,31 @@ pub async fn keep(gate: Arc<Gate>, metrics: Arc<Metrics>) {
     }
 }
 
-fn client(ca: &str) -> Result<Client, String> {
-    // The only provider that is built in; another may have been chosen already.
-    let _ = rustls::crypto::ring::default_provider().install_default();
-    let mut builder = Client::builder().timeout(PATIENCE).redirect(reqwest::redirect::Policy::none());
-    if !ca.is_empty() {
-        let pem = std::fs::read(ca).map_err(|error| format!("{ca}: {error}"))?;
-        let authorities = Certificate::from_pem_bundle(&pem).map_err(|error| format!("{ca}: {error}"))?;
-        builder = builder.tls_certs_only(authorities);
+/// The same where only the issuer's own description names its keys.
+async fn keep_issuer(gate: &Gate, metrics: &Metrics) {
+    let config = gate.identity();
+    if config.oidc_issuer.is_empty() {
+        return;
     }
-    builder.build().map_err(|error| error.to_string())
+    loop {
+        tokio::time::sleep(Duration::from_secs(config.jwt_refresh_s.max(1))).await;
+        gate.refresh_issuer().await.unwrap_or_else(|error| unreachable(&error, metrics));
+    }
+}
+
+fn unreachable(error: &str, metrics: &Metrics) {
+    metrics.tls_reload_failures.inc();
+    if let Some(left_out) = sparse::line("the issuer's keys cannot be fetched") {
+        tracing::error!(error, left_out, "the issuer's keys cannot be fetched; the last good ones stay");
+    }
 }
 
 /// A key set that was checked.
 async fn fetch(client: &Client, url: &str) -> Result<Vec<u8>, String> {
-    let mut answer = client.get(url).send().await.map_err(|error| error.without_url().to_string())?;
+    let answer = client.get(url).send().await.map_err(|error| error.without_url().to_string())?;
     if !answer.status().is_success() {
         return Err(format!("answered {}", answer.status()));
     }
-    let mut bytes = Vec::new();
-    while let Some(chunk) = answer.chunk().await.map_err(|error| error.without_url().to_string())? {
-        if (bytes.len() + chunk.len()) as u64 > MAX_SET_BYTES {
-            return Err(format!("is larger than {MAX_SET_BYTES} bytes"));
-        }
-        bytes.extend_from_slice(&chunk);
-    }
-    if bytes.is_empty() {
-        return Err("answered nothing".to_owned());
-    }
+    let bytes = outgoing::received(answer, MAX_SET_BYTES).await?;
     check(&bytes).map(|_| bytes)
 }

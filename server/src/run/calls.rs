@@ -87,7 +87,7 @@ where
         let mut request = request.map(|body| Body::new(PacedBody::new(body, pace, ending).told(too_slow)));
         if let Some(connection) = connection {
             request.extensions_mut().insert(connection.used.peer());
-            request.extensions_mut().insert(Arc::clone(connection.peer()));
+            request.extensions_mut().insert(Arc::clone(connection.end()));
         }
         let answer = self.inner.call(request);
         Box::pin(async move { Ok(answer.await?.map(|body| Body::new(AnswerBody::new(body, held, end)))) })

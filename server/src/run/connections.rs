@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 
 use prometheus_client::metrics::counter::Counter;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::TcpListener;
 use tokio::sync::futures::OwnedNotified;
 use tokio::sync::mpsc;
 use tokio::time::{Sleep, sleep};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::server::Connected;
 
+use super::listener::{Accepted, Listener};
 use crate::config::LimitsConfig;
 use crate::identity::{self, Closing};
 use crate::metrics::{Metrics, PortLabel};
@@ -35,7 +35,7 @@ const REST: Duration = Duration::from_millis(50);
 
 /// Takes connections off a port, a bounded number at a time.
 pub(super) struct Acceptor {
-    listener: TcpListener,
+    listener: Listener,
     registry: Registry,
     turned_away: Counter,
     handshake: Duration,
@@ -44,7 +44,7 @@ pub(super) struct Acceptor {
 }
 
 impl Acceptor {
-    pub(super) fn new(listener: TcpListener, limits: &LimitsConfig, door: Door, metrics: &Metrics) -> Self {
+    pub(super) fn new(listener: Listener, limits: &LimitsConfig, door: Door, metrics: &Metrics) -> Self {
         let port = PortLabel { port: door.port().name() };
         let open = metrics.connections.get_or_create_owned(&port);
         let turned_away = metrics.connections_turned_away.get_or_create_owned(&port);
@@ -87,8 +87,10 @@ impl Acceptor {
                 tracing::debug!("closed a connection: too many");
                 continue;
             };
-            // Small messages go out at once. A socket that refuses the option works without.
-            let _ = stream.set_nodelay(true);
+            if let Accepted::Tcp(stream) = &stream {
+                // Small messages go out at once. A socket that refuses the option works without.
+                let _ = stream.set_nodelay(true);
+            }
             let mut deadline = Box::pin(sleep(self.handshake));
             let (door, sender, idle) = (self.door.clone(), sender.clone(), self.idle);
             tokio::spawn(async move {
@@ -128,8 +130,8 @@ pub(super) struct Origin {
 
 impl Origin {
     /// The other end of its connection.
-    pub(super) fn peer(&self) -> &Arc<identity::Peer> {
-        self.entry.peer()
+    pub(super) fn end(&self) -> &Arc<identity::RemoteEnd> {
+        self.entry.end()
     }
 }
 

@@ -8,7 +8,6 @@ use echofix_proto::v1::FILE_DESCRIPTOR_SET;
 use echofix_proto::v1::localization_service_server::LocalizationServiceServer;
 use echofix_proto::v1::map_service_server::MapServiceServer;
 use echofix_proto::v1::mapping_service_server::MappingServiceServer;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 use tonic::codec::CompressionEncoding::{Gzip, Zstd};
@@ -20,6 +19,7 @@ use tower::util::MapResponseLayer;
 use super::calls::CallsLayer;
 use super::connections::{Acceptor, Door};
 use super::counted::CountedLayer;
+use super::listener::Listener;
 use super::{Error, LATE_FRAMES, ServiceContext, ended, figures};
 use crate::access_log::AccessLogLayer;
 use crate::config::LimitsConfig;
@@ -39,7 +39,7 @@ const MAX_NAME: usize = 512;
 
 /// Serves until the end is called and the requests in flight are answered.
 pub(super) async fn serve(
-    listener: TcpListener,
+    listener: Listener,
     shared: ServiceContext,
     ending: watch::Receiver<bool>,
 ) -> Result<(), Error> {

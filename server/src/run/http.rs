@@ -1,7 +1,6 @@
 //! The operators' port.
 
 use std::convert::Infallible;
-use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
@@ -12,20 +11,27 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
 
 use super::connections::{Acceptor, Door, InUse};
+use super::listener::Listener;
 use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::{HttpConfig, LimitsConfig};
 use crate::http::{Hosts, HttpState, Origins, Place, router_at};
+use crate::listen::ListenAddress;
 use crate::pace::PacedBody;
 use crate::port::Port;
 
 /// Serves until the end is called and the requests in flight are answered.
-pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending: watch::Receiver<bool>) {
-    let ServiceContext { config, store, operations, expectations, feed, metrics, health, gate, .. } = shared;
+pub(super) async fn serve(
+    (listener, bound): (Listener, ListenAddress),
+    shared: ServiceContext,
+    ending: watch::Receiver<bool>,
+) {
+    let ServiceContext {
+        config, store, operations, expectations, feed, metrics, health, gate, rates, ..
+    } = shared;
     let limits = &config.limits;
     let counted = metrics.clone();
     let builder = builder(limits);
@@ -44,10 +50,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
         address_share,
         ending: ending.clone(),
     };
-    let routes = match listener.local_addr() {
-        Ok(bound) => router_at(state, place(bound, &config.http), gate.clone()),
-        Err(error) => return tracing::error!(%error, "the HTTP port has no address"),
-    };
+    let routes = router_at(state, place(&bound, &config.http), (gate.clone(), rates));
     let routes = TowerToHyperService::new(routes);
     let graceful = GracefulShutdown::new();
     let door = Door::new(gate, Port::Http);
@@ -66,7 +69,7 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
             let held = origin.used.begin();
             let mut request = request.map(|body| PacedBody::new(body, Some(pace), ending.clone()));
             request.extensions_mut().insert(origin.used.peer());
-            request.extensions_mut().insert(std::sync::Arc::clone(origin.peer()));
+            request.extensions_mut().insert(std::sync::Arc::clone(origin.end()));
             let answer = routes.call(request);
             async move { Ok::<_, Infallible>(answer.await?.map(|body| UsingBody { body, _held: held })) }
         });
@@ -83,9 +86,13 @@ pub(super) async fn serve(listener: TcpListener, shared: ServiceContext, ending:
 }
 
 /// Where the port is found, and by whose pages.
-fn place(bound: SocketAddr, config: &HttpConfig) -> Place {
+fn place(bound: &ListenAddress, config: &HttpConfig) -> Place {
     let HttpConfig { hosts, base_path, cors_origins, .. } = config;
-    Place { hosts: Hosts::of(bound, hosts), base_path: base_path.clone(), origins: Origins::of(cors_origins) }
+    Place {
+        hosts: Hosts::of(bound.ip(), hosts),
+        base_path: base_path.clone(),
+        origins: Origins::of(cors_origins),
+    }
 }
 
 fn builder(limits: &LimitsConfig) -> auto::Builder<TokioExecutor> {

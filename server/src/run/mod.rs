@@ -4,6 +4,7 @@
 //! - [`connections`]: which connections are let in, and for how long they may say nothing.
 //! - [`grpc`], [`http`]: the two ports.
 //! - [`counted`]: each gRPC call is counted.
+//! - [`listener`]: addresses of the network, and unix sockets.
 //! - [`figures`]: what is looked up when somebody reads the metrics.
 //! - [`follow`]: health and metrics follow the store.
 //! - [`retention`]: old uploads are compacted.
@@ -18,6 +19,7 @@ mod figures;
 mod follow;
 mod grpc;
 mod http;
+mod listener;
 mod quarantine;
 mod retention;
 mod signals;
@@ -25,23 +27,23 @@ mod webhook;
 
 use std::future::Future;
 use std::io;
-use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Serialize;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::config::{self, Config};
+use crate::config::{self, Config, HttpConfig, ListenConfig};
 use crate::feed::Feed;
 use crate::health::Health;
 use crate::identity::{self, Gate, Rates};
 use crate::lanes::Lanes;
+use crate::listen::{ListenAddress, socket_mode};
 use crate::locating::Expectations;
 use crate::metrics::Metrics;
 use crate::store::{self, EmbeddedStore, MapStore, Operations, Options, ReplicatedStore};
+use listener::Listener;
 pub use signals::signalled;
 
 /// Why the service cannot run.
@@ -51,7 +53,7 @@ pub enum Error {
     #[error("cannot listen on {address} for {port}: {source}")]
     Listen {
         /// The address that was to be bound.
-        address: SocketAddr,
+        address: ListenAddress,
         /// The port's protocol.
         port: &'static str,
         /// What the operating system reported.
@@ -115,19 +117,18 @@ const CLOSES_WITHIN: Duration = Duration::from_millis(700);
 /// A service that has its ports and its store, and answers once it is run.
 pub struct Server {
     shared: ServiceContext,
-    grpc: TcpListener,
-    http: TcpListener,
-    grpc_addr: SocketAddr,
-    http_addr: SocketAddr,
+    grpc: Listener,
+    http: Listener,
+    addresses: Addresses,
 }
 
 /// Where a server listens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Addresses {
     /// The gRPC port, for vehicles.
-    pub grpc: SocketAddr,
+    pub grpc: ListenAddress,
     /// The HTTP port, for operators.
-    pub http: SocketAddr,
+    pub http: ListenAddress,
 }
 
 impl Server {
@@ -137,8 +138,11 @@ impl Server {
     /// When nobody can be let in as configured, a port is taken, or the store is damaged or in use.
     pub async fn bind(config: Config) -> Result<Self, Error> {
         let (gate, rates) = (config.gate()?, Rates::of(&config.rates));
-        let (grpc, grpc_addr) = listen(config.grpc.listen, "gRPC").await?;
-        let (http, http_addr) = listen(config.http.listen, "HTTP").await?;
+        let ListenConfig { listen: address, socket_mode } = &config.grpc;
+        let (grpc, grpc_address) = listen(address, socket_mode, "gRPC").await?;
+        let HttpConfig { listen: address, socket_mode, .. } = &config.http;
+        let (http, http_address) = listen(address, socket_mode, "HTTP").await?;
+        let addresses = Addresses { grpc: grpc_address, http: http_address };
         let (dir, bucket) = (config.store.directory(), config.store.bucket());
         let options = Options {
             table: config.store.table,
@@ -164,19 +168,13 @@ impl Server {
             lanes,
         };
         figures::of_store(&shared);
-        Ok(Self { shared, grpc, http, grpc_addr, http_addr })
+        Ok(Self { shared, grpc, http, addresses })
     }
 
-    /// Where vehicles connect.
+    /// Where vehicles and operators connect.
     #[must_use]
-    pub fn grpc_addr(&self) -> SocketAddr {
-        self.grpc_addr
-    }
-
-    /// Where operators connect.
-    #[must_use]
-    pub fn http_addr(&self) -> SocketAddr {
-        self.http_addr
+    pub fn addresses(&self) -> &Addresses {
+        &self.addresses
     }
 
     /// Answers until `shutdown`, then until the requests in flight are answered, but no longer
@@ -185,7 +183,7 @@ impl Server {
     /// # Errors
     /// When a port fails.
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), Error> {
-        let Self { shared, grpc, http, .. } = self;
+        let Self { shared, grpc, http, addresses } = self;
         let grace = Duration::from_secs(shared.config.limits.shutdown_s);
         let ending = watch::Sender::new(false);
         let follower = tokio::spawn(follow::follow(shared.clone()));
@@ -196,7 +194,8 @@ impl Server {
             background.spawn(identity::keep_current(shared.gate.clone(), shared.metrics.clone()));
         let keys = background.spawn(identity::keep_keys(shared.gate.clone(), shared.metrics.clone()));
         let mut grpc = port.spawn(grpc::serve(grpc, shared.clone(), ending.subscribe()));
-        let mut http = background.spawn(http::serve(http, shared.clone(), ending.subscribe()));
+        let mut http =
+            background.spawn(http::serve((http, addresses.http), shared.clone(), ending.subscribe()));
         tokio::select! {
             () = shutdown => {}
             result = &mut grpc => return result?,
@@ -245,21 +244,20 @@ pub async fn serve(
             return Ok(());
         }
     };
-    let addresses = Addresses { grpc: server.grpc_addr(), http: server.http_addr() };
     server.shared.metrics.built_from(commit);
-    tell(&server.shared.config, addresses, commit);
+    tell(&server.shared.config, server.addresses(), commit);
     if let Some(roles) = server.shared.gate.anonymous() {
         tracing::warn!(%roles, "anybody who reaches the ports has these roles (`identity.anonymous`)");
     }
     if let Some(path) = address_file {
         let failed = |source| Error::AddressFile { path: path.display().to_string(), source };
-        write_whole(path, &addresses).map_err(failed)?;
+        write_whole(path, server.addresses()).map_err(failed)?;
     }
     server.run(shutdown).await
 }
 
 /// One line that says what runs here.
-fn tell(config: &Config, addresses: Addresses, commit: &str) {
+fn tell(config: &Config, addresses: &Addresses, commit: &str) {
     let Addresses { grpc, http } = addresses;
     let bucket = config.store.bucket().map(|url| config::without_credentials(&url));
     let store = bucket.unwrap_or_else(|| config.store.directory().display().to_string());
@@ -295,11 +293,14 @@ fn opened(bucket: Option<&str>, options: &Options) -> Result<Opened, store::Erro
     Ok((store.clone(), store))
 }
 
-async fn listen(address: SocketAddr, port: &'static str) -> Result<(TcpListener, SocketAddr), Error> {
-    let failed = |source| Error::Listen { address, port, source };
-    let listener = TcpListener::bind(address).await.map_err(failed)?;
-    let bound = listener.local_addr().map_err(failed)?;
-    Ok((listener, bound))
+async fn listen(
+    address: &ListenAddress,
+    mode: &str,
+    port: &'static str,
+) -> Result<(Listener, ListenAddress), Error> {
+    // Checked with the configuration; nobody but the service itself, were it not.
+    let bound = Listener::bind(address, socket_mode(mode).unwrap_or(0o600)).await;
+    bound.map_err(|source| Error::Listen { address: address.clone(), port, source })
 }
 
 /// Resolves when the end is called, or its sender is gone.

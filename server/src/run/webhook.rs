@@ -11,14 +11,13 @@ use tokio::sync::mpsc;
 
 use crate::config::AlarmsConfig;
 use crate::metrics::{Metrics, OutcomeLabel};
+use crate::outgoing;
 use crate::sparse;
 
 /// Messages that wait, at most; more are left out and counted.
 const WAITING: usize = 64;
 /// How often a message is tried, at most.
 const TRIES: u32 = 8;
-/// How long one try may take.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Pauses between tries double up to this.
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 
@@ -48,10 +47,7 @@ impl Webhook {
         let secret = config.secret().inspect_err(|error| {
             tracing::error!(%error, "the webhook's secret cannot be read: alarms are sent without");
         });
-        // The only provider that is built in; another may have been chosen already.
-        let _ = rustls::crypto::ring::default_provider().install_default();
-        let client = Client::builder().timeout(PATIENCE).redirect(reqwest::redirect::Policy::none()).build();
-        let client = client
+        let client = outgoing::client("")
             .inspect_err(
                 |error| tracing::error!(%error, "no alarm can be sent: there is no client for the webhook"),
             )

@@ -12,6 +12,7 @@ use echofix_proto::v1::{
     PoseColumns, Scans, SensorMount, UploadChunk, UploadHeader, UploadRequest, UploadResponse,
 };
 use echofix_server::config::{Config, Sources};
+use echofix_server::listen::ListenAddress;
 use echofix_server::run::{Error, Server};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -49,7 +50,7 @@ impl TestServer {
 
     pub async fn with(dir: &Path, settings: &[(&str, &str)]) -> Self {
         let server = Server::bind(config(dir, settings)).await.unwrap();
-        let (grpc, http) = (server.grpc_addr(), server.http_addr());
+        let (grpc, http) = (tcp(&server.addresses().grpc), tcp(&server.addresses().http));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(server.run(async {
             let _ = stopped.await;
@@ -74,6 +75,11 @@ impl TestServer {
         let _ = self.stop.send(());
         self.task.await.unwrap().unwrap();
     }
+}
+
+/// The address of a port that is one.
+fn tcp(address: &ListenAddress) -> SocketAddr {
+    address.to_string().parse().unwrap()
 }
 
 /// A vehicle that drives north at 10 m/s for two seconds, past a wall 20 m east.

@@ -25,7 +25,7 @@ pub struct Issuer {
     edwards: Ed25519KeyPair,
 }
 
-fn text(bytes: impl AsRef<[u8]>) -> String {
+pub fn text(bytes: impl AsRef<[u8]>) -> String {
     URL_SAFE_NO_PAD.encode(bytes)
 }
 

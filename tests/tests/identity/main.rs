@@ -1,16 +1,27 @@
 //! Who may do what, on both ports of the real program, over real sockets, with certificates made here.
 //!
 //! - [`authority`]: certificates of all kinds, good and bad.
+//! - [`authorities`]: whom the service itself believes.
 //! - [`issuer`]: tokens of all kinds, good and bad.
 //! - [`site`]: a service that asks who calls, and its callers.
 //! - [`calls`]: everything that can be called, and who may.
+//! - [`oidc`]: browsers sign in at an issuer; [`oidc_issuer`]: one.
+//! - [`profiles`]: services and callers under names.
+//! - [`rates`]: how often one may ask.
+//! - [`sockets`]: both ports on unix sockets.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
+mod authorities;
 mod authority;
 mod calls;
 mod issuer;
+mod oidc;
+mod oidc_issuer;
+mod profiles;
+mod rates;
 mod site;
+mod sockets;
 
 use std::time::Duration;
 
@@ -257,8 +268,16 @@ async fn browsers_sign_in_with_a_token() {
         403,
         "another page's request"
     );
-    let out = tokio::task::block_in_place(|| browser.delete(&site, "/session"));
-    assert_eq!(out, 204);
+    let out = |headers: &[(&str, &str)]| {
+        tokio::task::block_in_place(|| browser.ask(&site, "DELETE", "/session", headers).status().as_u16())
+    };
+    assert_eq!(
+        (out(&[]), out(&[("x-echofix-csrf", &cookie)])),
+        (403, 403),
+        "a page that is not the session's"
+    );
+    let who: serde_json::Value = serde_json::from_str(&who).unwrap();
+    assert_eq!(out(&[("x-echofix-csrf", who["csrf"].as_str().unwrap())]), 204);
     assert_eq!(site.outcome(&browser, &read).await, Outcome::Unauthenticated);
 
     let cookie = sign_in(&site.token("viewer")).1.split(';').next().unwrap().to_owned();
@@ -278,7 +297,7 @@ async fn browsers_sign_in_with_a_token() {
 /// Catches: a proxy's header that anybody may write, from the address it comes from.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_proxy_on_this_machine_tells_who_asks() {
-    let site = Site::behind_a_proxy("x-echofix-caller");
+    let site = Site::behind_a_proxy("x-echofix-caller", &[]);
     let read = Call::http("GET", "/api/v1/map");
     let told = |value: &str| Caller::header(&site, "x-echofix-caller", value);
     assert_eq!(site.outcome(&told("viewer/alice"), &read).await, Outcome::Admitted);

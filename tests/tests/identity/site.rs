@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::os::unix::fs::symlink;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
@@ -66,6 +66,11 @@ pub struct Caller {
 impl Site {
     /// A service with certificates, a list of revoked ones, and tokens, one of each role.
     pub fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    /// The same with more settings.
+    pub fn start_with(more: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let first = folder.path().join("v1");
         fs::create_dir(&first).unwrap();
@@ -98,6 +103,7 @@ impl Site {
             "tls.reload_s=1".to_owned(),
         ];
         settings.extend(Issuer::settings(&at("jwks.json")));
+        settings.extend(more.iter().map(|&setting| setting.to_owned()));
         let ca = first.join("ca.pem");
         Self { issuer, tokens, certified, ..Self::launch(folder, authority, settings, ca, "https") }
     }
@@ -111,14 +117,19 @@ impl Site {
     }
 
     /// A service that takes a header's word, unencrypted.
-    pub fn behind_a_proxy(header: &str) -> Self {
-        let settings = vec![format!("identity.proxy_header={header}")];
+    pub fn behind_a_proxy(header: &str, more: &[&str]) -> Self {
+        let mut settings = vec![format!("identity.proxy_header={header}")];
+        settings.extend(more.iter().map(|&setting| setting.to_owned()));
         Self::launch(tempfile::tempdir().unwrap(), Authority::new(), settings, PathBuf::new(), "http")
     }
 
     /// A service that believes the keys at an address, unencrypted.
     pub fn of_issuer(url: &str) -> Self {
-        let settings = Issuer::settings(url);
+        Self::plain(Issuer::settings(url))
+    }
+
+    /// A service with these settings, unencrypted.
+    pub fn plain(settings: Vec<String>) -> Self {
         Self::launch(tempfile::tempdir().unwrap(), Authority::new(), settings, PathBuf::new(), "http")
     }
 
@@ -171,6 +182,17 @@ impl Site {
         Credentials { ca: encrypted.then(|| self.ca.clone()), ..Credentials::default() }
     }
 
+    /// The file of the authority.
+    pub fn ca(&self) -> &Path {
+        &self.ca
+    }
+
+    /// Certificate and key of a role, as files.
+    pub fn certificate_files(&self, role: &str) -> (PathBuf, PathBuf) {
+        let (_, certified) = self.certified.iter().find(|(known, _)| *known == role).unwrap();
+        self.written(role, certified)
+    }
+
     /// Who shows the certificate of a role.
     pub fn certified(&self, role: &str) -> Caller {
         let (_, certified) = self.certified.iter().find(|(known, _)| *known == role).unwrap();
@@ -195,12 +217,16 @@ impl Site {
     }
 
     fn showing(&self, who: &str, certified: &Certified) -> Caller {
+        let (cert, key) = self.written(who, certified);
+        let credentials = Credentials { cert: Some(cert), key: Some(key), ..self.credentials() };
+        Caller::with(self, who, &credentials, Vec::new())
+    }
+
+    fn written(&self, who: &str, certified: &Certified) -> (PathBuf, PathBuf) {
         let file = |ending: &str| self.folder.path().join(format!("{}.{ending}", who.replace(' ', "-")));
         fs::write(file("pem"), &certified.pem).unwrap();
         fs::write(file("key"), &certified.key).unwrap();
-        let credentials =
-            Credentials { cert: Some(file("pem")), key: Some(file("key")), ..self.credentials() };
-        Caller::with(self, who, &credentials, Vec::new())
+        (file("pem"), file("key"))
     }
 
     /// Who brings the token of a role.
@@ -367,15 +393,28 @@ impl Caller {
         self.send(site, "GET", path, "", &[]).unwrap().status().as_u16()
     }
 
+    /// An answer, whatever it is.
+    pub fn answer(&self, site: &Site, path: &str) -> ureq::http::Response<ureq::Body> {
+        self.ask(site, "GET", path, &[])
+    }
+
+    /// The same with a method and headers.
+    pub fn ask(
+        &self,
+        site: &Site,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+    ) -> ureq::http::Response<ureq::Body> {
+        let body = if method == "POST" { "{}" } else { "" };
+        self.send(site, method, path, body, headers).unwrap()
+    }
+
     /// Status and the cookie that was set.
     pub fn post(&self, site: &Site, path: &str, body: &str, headers: &[(&str, &str)]) -> (u16, String) {
         let answer = self.send(site, "POST", path, body, headers).unwrap();
         let cookie = answer.headers().get("set-cookie").map_or("", |cookie| cookie.to_str().unwrap());
         (answer.status().as_u16(), cookie.to_owned())
-    }
-
-    pub fn delete(&self, site: &Site, path: &str) -> u16 {
-        self.send(site, "DELETE", path, "", &[]).unwrap().status().as_u16()
     }
 
     fn send(

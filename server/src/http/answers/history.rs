@@ -58,8 +58,9 @@ pub enum Happened {
     },
     /// A contributor was revoked.
     RevokeContributor {
-        /// The contributor's keyed hash, 16 hexadecimal digits.
-        of: String,
+        /// The contributor's keyed hash, 16 hexadecimal digits. Null for viewers.
+        #[schema(required)]
+        of: Option<String>,
         /// Uploads that the decision takes back, for itself.
         takes_back: u64,
         /// Who, when and why.

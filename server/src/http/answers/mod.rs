@@ -18,7 +18,7 @@ pub use map::{
 };
 pub use service::{
     AlarmAnswer, AliveAnswer, CallerAnswer, ErrorAnswer, ErrorBody, FixesAnswer, MissedEvent, PartReadiness,
-    QuarantineAnswer, ReadinessAnswer, ReadyAnswer, TileJsonAnswer, UploadsAnswer,
+    QuarantineAnswer, ReadinessAnswer, ReadyAnswer, SignInWaysAnswer, TileJsonAnswer, UploadsAnswer,
 };
 
 /// Why a request is refused that may be sent again in a second.

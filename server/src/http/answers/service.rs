@@ -85,9 +85,22 @@ pub struct CallerAnswer {
     pub name: String,
     /// What the caller may do: `vehicle`, `mapper`, `gateway`, `viewer`, `operator`, `admin`, `replica`.
     pub roles: Vec<&'static str>,
-    /// How both are known: `unasked`, `anonymous`, `certificate`, `token`, `proxy`.
+    /// How both are known: `unasked`, `anonymous`, `certificate`, `token`, `jwt`, `oidc`, `proxy`.
     #[schema(example = "token")]
     pub known_by: &'static str,
+    /// In a session: what its page must send as `x-echofix-csrf` with each change.
+    #[schema(required)]
+    pub csrf: Option<String>,
+}
+
+/// By which ways a browser may sign in.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = SignInWays)]
+pub struct SignInWaysAnswer {
+    /// With a token, by `POST /session`.
+    pub token: bool,
+    /// At an issuer, by `GET /session/oidc`.
+    pub oidc: bool,
 }
 
 /// `TileJSON` 3.0 of a layer.
@@ -182,7 +195,7 @@ pub struct AlarmAnswer {
     /// UTC date of the first of the uploads.
     #[schema(format = Date)]
     pub since: String,
-    /// The middle of the uploads; null where the zone does not reach.
+    /// The middle of the uploads, for viewers to a hundredth of a degree; null where the zone does not reach.
     #[schema(required)]
     pub place: Option<Place>,
 }

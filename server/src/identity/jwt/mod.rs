@@ -12,7 +12,7 @@ mod source;
 
 pub(super) use keys::Keys;
 pub use rules::Lease;
-pub(super) use rules::{NotTaken, Told, check, rules_of, told_by};
+pub(super) use rules::{NotTaken, Told, check, rules_of, told_by, told_by_id_token};
 pub(super) use source::{Source, is_address};
 
 /// Bytes of a token, at most: looked at before anything of it is parsed.

@@ -49,6 +49,13 @@ pub(in crate::identity) enum NotTaken {
     Other(String),
 }
 
+/// What tokens must say, beside their times.
+struct Wanted<'a> {
+    issuer: &'a str,
+    audience: &'a str,
+    required: &'a [&'a str],
+}
+
 /// Who a token names: checks size, key, algorithm, signature, issuer, audience and times.
 ///
 /// # Errors
@@ -58,6 +65,46 @@ pub(in crate::identity) fn told_by(
     keys: &Keys,
     config: &IdentityConfig,
 ) -> Result<Told, NotTaken> {
+    let required = &["exp", "nbf", "iss", "aud"];
+    let wanted = Wanted { issuer: &config.jwt_issuer, audience: &config.jwt_audience, required };
+    let (claims, lease) = checked(token, keys, (config, &wanted))?;
+    told(&claims, lease, config)
+}
+
+/// The same of an ID token (`OpenID` Connect Core 1.0, 3.1.3.7) that answers a question with this nonce. Its lease is a session's.
+///
+/// # Errors
+/// Why it is not taken.
+pub(in crate::identity) fn told_by_id_token(
+    token: &str,
+    keys: &Keys,
+    config: &IdentityConfig,
+    nonce: &str,
+) -> Result<Told, NotTaken> {
+    let client = config.oidc_client_id.as_str();
+    let required = &["exp", "iss", "aud", "sub"];
+    let wanted = Wanted { issuer: &config.oidc_issuer, audience: client, required };
+    let (claims, lease) = checked(token, keys, (config, &wanted))?;
+    let other = |why: &str| NotTaken::Other(why.to_owned());
+    if claims.get("nonce").and_then(Value::as_str) != Some(nonce) {
+        return Err(other("it answers another question: its `nonce` is not what was sent"));
+    }
+    let party = claims.get("azp").map(Value::as_str);
+    let several = claims.get("aud").and_then(Value::as_array).is_some_and(|audiences| audiences.len() > 1);
+    if party.map_or(several, |party| party != Some(client)) {
+        return Err(other("it was issued to another party (`azp`)"));
+    }
+    let now_s = get_current_timestamp() as i64;
+    let lease = Lease { until_s: now_s.saturating_add(config.oidc_session_s as i64), ..lease };
+    told(&claims, lease, config)
+}
+
+/// The claims of a token that holds, and for how long it does.
+fn checked(
+    token: &str,
+    keys: &Keys,
+    (config, wanted): (&IdentityConfig, &Wanted<'_>),
+) -> Result<(Map<String, Value>, Lease), NotTaken> {
     let other = |why: &str| NotTaken::Other(why.to_owned());
     if token.len() > MAX_TOKEN_BYTES {
         return Err(NotTaken::Other(format!("the token is longer than {MAX_TOKEN_BYTES} bytes")));
@@ -74,22 +121,12 @@ pub(in crate::identity) fn told_by(
     validation.algorithms.clone_from(&key.algorithms);
     validation.leeway = config.jwt_leeway_s;
     validation.validate_nbf = true;
-    validation.set_audience(&[&config.jwt_audience]);
-    validation.set_issuer(&[&config.jwt_issuer]);
-    validation.set_required_spec_claims(&["exp", "nbf", "iss", "aud"]);
+    validation.set_audience(&[wanted.audience]);
+    validation.set_issuer(&[wanted.issuer]);
+    validation.set_required_spec_claims(wanted.required);
     let claims = decode::<Map<String, Value>>(token, &key.decoding, &validation)
         .map_err(|error| NotTaken::Other(in_words(error.kind())))?
         .claims;
-    let name = claim(&claims, &config.jwt_name_claim).and_then(Value::as_str).filter(|name| is_name(name));
-    let name = name.ok_or_else(|| {
-        let claim = &config.jwt_name_claim;
-        NotTaken::Other(format!("the token's `{claim}` is no name; letters, digits and -._~@:+/, 64 at most"))
-    })?;
-    let roles = roles_of(&claims, config);
-    if roles.is_empty() {
-        let claim = &config.jwt_role_claim;
-        return Err(NotTaken::Other(format!("nothing in the token's `{claim}` stands for a role here")));
-    }
     // The library has found it to be a number.
     let expires = claims.get("exp").and_then(Value::as_f64).unwrap_or(0.0);
     // The library lets the last second pass, in which sessions and streams have ended.
@@ -99,6 +136,21 @@ pub(in crate::identity) fn told_by(
     };
     if get_current_timestamp() as i64 >= lease.until_s {
         return Err(NotTaken::Other(in_words(&ErrorKind::ExpiredSignature)));
+    }
+    Ok((claims, lease))
+}
+
+/// Whom claims name, and as what.
+fn told(claims: &Map<String, Value>, lease: Lease, config: &IdentityConfig) -> Result<Told, NotTaken> {
+    let name = claim(claims, &config.jwt_name_claim).and_then(Value::as_str).filter(|name| is_name(name));
+    let name = name.ok_or_else(|| {
+        let claim = &config.jwt_name_claim;
+        NotTaken::Other(format!("the token's `{claim}` is no name; letters, digits and -._~@:+/, 64 at most"))
+    })?;
+    let roles = roles_of(claims, config);
+    if roles.is_empty() {
+        let claim = &config.jwt_role_claim;
+        return Err(NotTaken::Other(format!("nothing in the token's `{claim}` stands for a role here")));
     }
     Ok(Told { name: name.to_owned(), roles, lease })
 }
@@ -145,7 +197,7 @@ fn meaning(entry: &str) -> Option<(&str, Role)> {
 
 /// What of the configuration must hold: key, whether it does, and the rule.
 pub(in crate::identity) fn rules_of(config: &IdentityConfig) -> Vec<(&'static str, bool, &'static str)> {
-    let on = !config.jwt_jwks.is_empty();
+    let (on, oidc) = (!config.jwt_jwks.is_empty(), !config.oidc_issuer.is_empty());
     let is_url = config.jwt_jwks.contains("://");
     vec![
         (
@@ -157,20 +209,20 @@ pub(in crate::identity) fn rules_of(config: &IdentityConfig) -> Vec<(&'static st
         ("identity.jwt_audience", config.jwt_audience.is_empty() != on, "and identity.jwt_jwks go together"),
         (
             "identity.jwt_roles",
-            config.jwt_roles.is_empty() != on,
-            "and identity.jwt_jwks go together: without it no token means anything",
+            config.jwt_roles.is_empty() != (on || oidc),
+            "and identity.jwt_jwks or identity.oidc_issuer go together: without it no token means anything",
         ),
         (
             "identity.jwt_roles",
             config.jwt_roles.iter().all(|entry| meaning(entry).is_some()),
             "must list VALUE=ROLE; the roles are vehicle, mapper, gateway, viewer, operator, admin and replica",
         ),
-        ("identity.jwt_role_claim", !on || !config.jwt_role_claim.is_empty(), "must name a claim"),
-        ("identity.jwt_name_claim", !on || !config.jwt_name_claim.is_empty(), "must name a claim"),
+        ("identity.jwt_role_claim", !(on || oidc) || !config.jwt_role_claim.is_empty(), "must name a claim"),
+        ("identity.jwt_name_claim", !(on || oidc) || !config.jwt_name_claim.is_empty(), "must name a claim"),
         ("identity.jwt_leeway_s", config.jwt_leeway_s <= MAX_LEEWAY_S, "must be at most 300"),
         (
             "identity.jwt_refresh_s",
-            !on || (10..=86_400).contains(&config.jwt_refresh_s),
+            !(on || oidc) || (10..=86_400).contains(&config.jwt_refresh_s),
             "must lie within 10 and 86400",
         ),
         (

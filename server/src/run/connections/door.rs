@@ -1,18 +1,19 @@
 //! The door of both ports: TLS, if it is configured, and the other end's certificate.
 
 use std::io;
-use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::TcpStream;
+use tokio::net::{TcpStream, UnixStream};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 
 use crate::identity::{Closing, Entry, Gate};
+use crate::listen::RemoteAddress;
 use crate::port::Port;
+use crate::run::listener::Accepted;
 use crate::sparse;
 
 /// Lets connections of a port in.
@@ -40,7 +41,15 @@ impl Door {
     }
 
     /// Encrypts the connection and takes it in; `None` when the other end cannot be let in.
-    pub(super) async fn open(&self, stream: TcpStream, address: SocketAddr) -> Option<Opened> {
+    pub(super) async fn open(&self, stream: Accepted, address: RemoteAddress) -> Option<Opened> {
+        let stream = match stream {
+            // Nothing of it crosses a network, and proxies speak plainly there.
+            Accepted::Unix(stream) => {
+                let (entry, closing) = self.gate.enter(address, false, None);
+                return Some(Opened { stream: Stream::Unix(stream), entry, closing });
+            }
+            Accepted::Tcp(stream) => stream,
+        };
         // What counts when the connection begins; what changes meanwhile is held against it when it is known.
         let current = self.gate.current();
         let Some(config) = current.config(self.port) else {
@@ -57,7 +66,7 @@ impl Door {
             }
         };
         let (entry, closing) = self.gate.enter(address, true, stream.get_ref().1.peer_certificates());
-        self.gate.recheck(&current, entry.peer());
+        self.gate.recheck(&current, entry.end());
         Some(Opened { stream: Stream::Tls(stream), entry, closing })
     }
 }
@@ -65,6 +74,7 @@ impl Door {
 /// A connection's bytes.
 pub(super) enum Stream {
     Plain(TcpStream),
+    Unix(UnixStream),
     Tls(Box<TlsStream<TcpStream>>),
 }
 
@@ -72,6 +82,7 @@ impl AsyncRead for Stream {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_read(cx, buf),
+            Self::Unix(stream) => Pin::new(stream).poll_read(cx, buf),
             Self::Tls(stream) => Pin::new(stream).poll_read(cx, buf),
         }
     }
@@ -81,6 +92,7 @@ impl AsyncWrite for Stream {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_write(cx, bytes),
+            Self::Unix(stream) => Pin::new(stream).poll_write(cx, bytes),
             Self::Tls(stream) => Pin::new(stream).poll_write(cx, bytes),
         }
     }
@@ -88,6 +100,7 @@ impl AsyncWrite for Stream {
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_flush(cx),
+            Self::Unix(stream) => Pin::new(stream).poll_flush(cx),
             Self::Tls(stream) => Pin::new(stream).poll_flush(cx),
         }
     }
@@ -95,6 +108,7 @@ impl AsyncWrite for Stream {
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_shutdown(cx),
+            Self::Unix(stream) => Pin::new(stream).poll_shutdown(cx),
             Self::Tls(stream) => Pin::new(stream).poll_shutdown(cx),
         }
     }
@@ -106,6 +120,7 @@ impl AsyncWrite for Stream {
     ) -> Poll<io::Result<usize>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_write_vectored(cx, bytes),
+            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, bytes),
             Self::Tls(stream) => Pin::new(stream).poll_write_vectored(cx, bytes),
         }
     }
@@ -113,6 +128,7 @@ impl AsyncWrite for Stream {
     fn is_write_vectored(&self) -> bool {
         match self {
             Self::Plain(stream) => stream.is_write_vectored(),
+            Self::Unix(stream) => stream.is_write_vectored(),
             Self::Tls(stream) => stream.is_write_vectored(),
         }
     }

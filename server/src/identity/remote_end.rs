@@ -1,7 +1,6 @@
 //! The other end of a connection: where it is, and the certificate it showed.
 
 use std::collections::HashMap;
-use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -11,6 +10,7 @@ use tokio::sync::oneshot;
 use super::certificate::{Subject, not_after, subject};
 use super::tls::{Identified, now_s};
 use super::tokens::TokenHash;
+use crate::listen::RemoteAddress;
 
 /// Tokens of one connection that are remembered; a proxy in front may bring many.
 const REMEMBERED: usize = 256;
@@ -19,9 +19,9 @@ const REMEMBERED: usize = 256;
 pub type Closing = oneshot::Receiver<()>;
 
 /// The other end of a connection.
-pub struct Peer {
+pub struct RemoteEnd {
     /// Where it is.
-    pub address: SocketAddr,
+    pub address: RemoteAddress,
     /// Whether TLS runs on the connection.
     pub encrypted: bool,
     certificate: Option<Presented>,
@@ -38,10 +38,10 @@ struct Presented {
     not_after: i64,
 }
 
-impl Peer {
+impl RemoteEnd {
     /// Of a connection with this certificate chain, its own first; none without.
     pub(super) fn new(
-        address: SocketAddr,
+        address: RemoteAddress,
         encrypted: bool,
         chain: Option<&[CertificateDer<'_>]>,
         trust_domain: &str,
@@ -55,6 +55,11 @@ impl Peer {
         let close = Mutex::new(Some(close));
         let (tokens, over) = (Mutex::default(), AtomicBool::new(false));
         (Self { address, encrypted, certificate, tokens, over, close }, closing)
+    }
+
+    /// Whether it is on this machine.
+    pub(super) fn is_local(&self) -> bool {
+        self.address.is_local()
     }
 
     /// Who its certificate is for; `None` without one.
@@ -96,48 +101,48 @@ impl Peer {
 
 /// All connections of both ports.
 #[derive(Default)]
-pub(super) struct Peers(Mutex<(u64, HashMap<u64, Weak<Peer>>)>);
+pub(super) struct RemoteEnds(Mutex<(u64, HashMap<u64, Weak<RemoteEnd>>)>);
 
 /// A connection among the others, until it is dropped.
 pub struct Entry {
-    peer: Arc<Peer>,
+    end: Arc<RemoteEnd>,
     id: u64,
-    peers: Arc<Peers>,
+    ends: Arc<RemoteEnds>,
 }
 
 impl Entry {
     /// The other end.
     #[must_use]
-    pub fn peer(&self) -> &Arc<Peer> {
-        &self.peer
+    pub fn end(&self) -> &Arc<RemoteEnd> {
+        &self.end
     }
 }
 
 impl Drop for Entry {
     fn drop(&mut self) {
-        self.peers.locked().1.remove(&self.id);
+        self.ends.locked().1.remove(&self.id);
     }
 }
 
-impl Peers {
-    fn locked(&self) -> std::sync::MutexGuard<'_, (u64, HashMap<u64, Weak<Peer>>)> {
+impl RemoteEnds {
+    fn locked(&self) -> std::sync::MutexGuard<'_, (u64, HashMap<u64, Weak<RemoteEnd>>)> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn enter(self: &Arc<Self>, peer: Peer) -> Entry {
-        let peer = Arc::new(peer);
+    pub(super) fn enter(self: &Arc<Self>, end: RemoteEnd) -> Entry {
+        let end = Arc::new(end);
         let mut known = self.locked();
         known.0 += 1;
         let id = known.0;
-        known.1.insert(id, Arc::downgrade(&peer));
-        Entry { peer, id, peers: Arc::clone(self) }
+        known.1.insert(id, Arc::downgrade(&end));
+        Entry { end, id, ends: Arc::clone(self) }
     }
 
     /// Ends the connections whose identity does not hold any more; with `all`, those whose time is not over are held against
     /// what counts now, too. Returns how many.
     pub(super) fn sweep(&self, now: &Identified, all: bool) -> usize {
-        let peers: Vec<_> = self.locked().1.values().filter_map(Weak::upgrade).collect();
-        let gone = |peer: &&Arc<Peer>| peer.is_over() || (all && !peer.passes(now));
-        peers.iter().filter(gone).map(|peer| peer.end()).count()
+        let ends: Vec<_> = self.locked().1.values().filter_map(Weak::upgrade).collect();
+        let gone = |end: &&Arc<RemoteEnd>| end.is_over() || (all && !end.passes(now));
+        ends.iter().filter(gone).map(|end| end.end()).count()
     }
 }
