@@ -39,6 +39,9 @@ enum Command {
     /// Measure what a fix costs on this machine: under load, step by step, and engine by engine.
     #[cfg(feature = "lab")]
     Bench(echofix_lab::bench::command::Args),
+    /// Simulate what a fleet asks of several replicas: cores, memory, requests to the bucket, dollars.
+    #[cfg(feature = "lab")]
+    Sizing(echofix_lab::sizing::command::Args),
     /// Write the drive log of a simulated vehicle.
     Simulate(commands::simulate::Args),
     /// Convert the radar data of a public data set to a drive log.
@@ -93,6 +96,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Import(args) => commands::import::run(&args, json),
         #[cfg(feature = "lab")]
         Command::Evaluate(args) => echofix_lab::evaluate::command::run(&args, json),
+        #[cfg(feature = "lab")]
+        Command::Sizing(args) => echofix_lab::sizing::command::run(args, json),
         Command::Calibrate(args) => commands::calibrate::run(&args, json),
         Command::Identity(args) => commands::identity::run(&args, json),
         Command::Token(args) => commands::token::run(&args, json),

@@ -10,6 +10,7 @@
 //!   carries only what is new.
 //! - [`upload`]: contributing to the map: the recorder splits a drive into uploads, the spool holds them
 //!   on disk, the uploader sends them until each is acknowledged.
+//! - [`CoverageClient`]: where along a way the service has a map, and which uploads it wants.
 //! - [`tiles`]: the map on the vehicle: a cache of tiles on disk that takes what changed.
 //! - [`refusal`]: what a call came back with, typed.
 //! - [`backoff`]: how long to wait before asking again.
@@ -50,6 +51,7 @@
 //! ```
 
 pub mod backoff;
+mod coverage;
 mod disk;
 pub mod drivelog;
 pub mod filter;
@@ -67,5 +69,6 @@ pub mod upload;
 pub mod vehicle;
 pub mod wire;
 
+pub use coverage::CoverageClient;
 pub use localizer::{Localizer, LocalizerOptions};
 pub use stream::{LocalizationStream, StreamTraffic};

@@ -9,8 +9,8 @@ use tonic::Request;
 
 use crate::backoff::{Backoff, BackoffPolicy};
 use crate::refusal::CallError;
-use crate::routing;
-use crate::service::{CallerChannel, ServiceEndpoint};
+use crate::routing::{self, Asked, Router};
+use crate::service::ServiceEndpoint;
 use crate::vehicle::LocalizationQuestion;
 
 /// How patiently the service is asked.
@@ -34,7 +34,7 @@ impl Default for LocalizerOptions {
 /// A connection to the localization service; cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Localizer {
-    client: LocalizationServiceClient<CallerChannel>,
+    router: Router,
     options: LocalizerOptions,
 }
 
@@ -44,22 +44,15 @@ impl Localizer {
     /// Must be called within a tokio runtime.
     #[must_use]
     pub fn new(endpoint: impl Into<ServiceEndpoint>, options: LocalizerOptions) -> Self {
-        // A connection that died without a word is noticed between questions.
-        let mut endpoint = endpoint.into();
-        endpoint.transport = endpoint
-            .transport
-            .http2_keep_alive_interval(Duration::from_secs(5))
-            .keep_alive_timeout(Duration::from_secs(5))
-            .keep_alive_while_idle(true);
-        Self { client: LocalizationServiceClient::new(endpoint.connect_lazy()), options }
+        Self { router: Router::new(endpoint.into().kept_alive()), options }
     }
 
     pub(crate) fn options(&self) -> LocalizerOptions {
         self.options
     }
 
-    pub(crate) fn client(&self) -> LocalizationServiceClient<CallerChannel> {
-        self.client.clone()
+    pub(crate) fn router(&self) -> &Router {
+        &self.router
     }
 
     /// Sends a question; attempts that fail for the moment are repeated within the deadline.
@@ -91,16 +84,33 @@ impl Localizer {
         question: &LocalizationQuestion,
         until: Instant,
     ) -> Result<v1::LocalizeResponse, CallError> {
+        let region = routing::region_of(&question.request);
+        let Asked { channel, replica } = self.router.ask(region);
+        // Where a replica that an answer named is silent, there is time left to ask at the configured address.
+        let until = if replica.is_some() { halfway(until) } else { until };
         let mut request = Request::new(question.request.clone());
-        routing::mark(&mut request, routing::region_of(&question.request));
+        routing::mark(&mut request, region);
         request.set_timeout(until.saturating_duration_since(Instant::now()));
-        let mut client = self.client.clone();
-        match tokio::time::timeout_at(until, client.localize(request)).await {
-            Ok(Ok(answer)) => Ok(answer.into_inner()),
-            Ok(Err(status)) => Err(CallError::from(&status)),
-            Err(_) => Err(CallError::Deadline),
-        }
+        let mut client = LocalizationServiceClient::new(channel);
+        let error = match tokio::time::timeout_at(until, client.localize(request)).await {
+            Ok(Ok(answer)) => {
+                self.router.heard(region, answer.metadata());
+                return Ok(answer.into_inner());
+            }
+            Ok(Err(status)) => {
+                self.router.heard(region, status.metadata());
+                CallError::from(&status)
+            }
+            Err(_) => CallError::Deadline,
+        };
+        Err(self.router.left(replica.as_ref(), error))
     }
+}
+
+/// The middle of the time that is left.
+pub(crate) fn halfway(until: Instant) -> Instant {
+    let now = Instant::now();
+    now + until.saturating_duration_since(now) / 2
 }
 
 #[cfg(test)]

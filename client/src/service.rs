@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use tonic::codegen::http::Uri;
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
@@ -9,7 +10,7 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 use tonic::{Request, Status};
 
 /// Where the service is and who the vehicle is to it.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Clone, PartialEq, Eq, Default)]
 pub struct ServiceAddress {
     /// `http://host:port`, `https://host:port` for TLS, or `unix:/path` for a socket of this machine.
     pub url: String,
@@ -19,6 +20,22 @@ pub struct ServiceAddress {
     pub identity_pem: Option<(String, String)>,
     /// The bearer token by which the caller is known, for a service that takes them.
     pub token: Option<String>,
+    /// Further addresses of the same service, as `url`: answers that name one of its replicas are believed as far as these go.
+    /// With `https://` and an authority of one's own (`ca_pem`) its certificates say enough, and none need be listed.
+    pub replicas: Vec<String>,
+}
+
+impl std::fmt::Debug for ServiceAddress {
+    /// Without the token and the key.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ServiceAddress")
+            .field("url", &self.url)
+            .field("ca_pem", &self.ca_pem.is_some())
+            .field("identity_pem", &self.identity_pem.is_some())
+            .field("token", &self.token.is_some())
+            .field("replicas", &self.replicas)
+            .finish()
+    }
 }
 
 /// The transport's settings, and the token that goes with each call.
@@ -27,11 +44,13 @@ pub struct ServiceEndpoint {
     /// How the service is connected to.
     pub transport: Endpoint,
     bearer: Bearer,
+    /// What it was made of, where replicas can be followed to.
+    address: Option<ServiceAddress>,
 }
 
 impl From<Endpoint> for ServiceEndpoint {
     fn from(transport: Endpoint) -> Self {
-        Self { transport, bearer: Bearer::default() }
+        Self { transport, bearer: Bearer::default(), address: None }
     }
 }
 
@@ -41,6 +60,45 @@ impl ServiceEndpoint {
     pub fn connect_lazy(&self) -> CallerChannel {
         InterceptedService::new(self.transport.connect_lazy(), self.bearer.clone())
     }
+
+    /// The same for another replica of the service, which one of its answers named. `None` where nothing vouches for it: only
+    /// addresses that were configured are taken, and those of certificates by the vehicle's own authority. So neither the
+    /// token nor a question goes to anybody else, whoever answered.
+    #[must_use]
+    pub fn follows(&self, url: &str) -> Option<Self> {
+        let address = self.address.as_ref()?;
+        let vouched =
+            url.starts_with("https://") && address.url.starts_with("https://") && address.ca_pem.is_some();
+        let configured = address.replicas.iter().chain([&address.url]).any(|known| same(known, url));
+        if !vouched && !configured {
+            return None;
+        }
+        let replica = ServiceAddress { url: url.to_owned(), ..address.clone() }.endpoint().ok()?;
+        Some(Self { transport: kept_alive(replica.transport), ..replica })
+    }
+
+    /// One whose connection is noticed to be dead while nothing is asked.
+    pub(crate) fn kept_alive(self) -> Self {
+        Self { transport: kept_alive(self.transport), ..self }
+    }
+}
+
+fn kept_alive(transport: Endpoint) -> Endpoint {
+    transport
+        .http2_keep_alive_interval(Duration::from_secs(5))
+        .keep_alive_timeout(Duration::from_secs(5))
+        .keep_alive_while_idle(true)
+}
+
+/// Do two addresses name the same port of the same host?
+fn same(one: &str, other: &str) -> bool {
+    let parts = |url: &str| {
+        let uri: Uri = url.parse().ok()?;
+        let host = uri.host()?.to_ascii_lowercase();
+        let plain = !uri.authority()?.as_str().contains('@');
+        plain.then(|| (uri.scheme_str().map(str::to_owned), host, uri.port_u16()))
+    };
+    parts(one).is_some_and(|one| Some(one) == parts(other))
 }
 
 /// A connection whose calls tell who makes them.
@@ -91,7 +149,7 @@ impl ServiceAddress {
     /// A service at an `http://host:port`.
     #[must_use]
     pub fn at(url: impl Into<String>) -> Self {
-        Self { url: url.into(), ca_pem: None, identity_pem: None, token: None }
+        Self { url: url.into(), ca_pem: None, identity_pem: None, token: None, replicas: Vec::new() }
     }
 
     /// The transport's settings; nothing is connected yet.
@@ -100,7 +158,8 @@ impl ServiceAddress {
     /// When the URL, the certificates or the token cannot be used.
     pub fn endpoint(&self) -> Result<ServiceEndpoint, Error> {
         let bearer = Bearer(self.token.as_deref().map(bearer).transpose()?);
-        Ok(ServiceEndpoint { transport: self.transport()?, bearer })
+        let address = Some(self.clone());
+        Ok(ServiceEndpoint { transport: self.transport()?, bearer, address })
     }
 
     fn transport(&self) -> Result<Endpoint, Error> {
@@ -181,6 +240,13 @@ mod tests {
         let with = |url: &str| {
             ServiceAddress { token: Some("secret-7".to_owned()), ..ServiceAddress::at(url) }.endpoint()
         };
+        let secrets = ("certificate-7".to_owned(), "key-7".to_owned());
+        let address = ServiceAddress {
+            token: Some("secret-7".to_owned()),
+            identity_pem: Some(secrets),
+            ..ServiceAddress::at("https://host:1")
+        };
+        assert!(!format!("{address:?}").contains("-7"), "{address:?}");
         for url in ["https://host:1", "http://127.0.0.1:1", "http://[::1]:1", "http://localhost:1"] {
             assert!(!format!("{:?}", with(url).unwrap()).contains("secret-7"), "{url}");
         }
@@ -188,5 +254,30 @@ mod tests {
         let mut bearer = with("https://host:1").unwrap().bearer;
         let request = bearer.call(Request::new(())).unwrap();
         assert_eq!(request.metadata().get("authorization").unwrap(), "Bearer secret-7");
+    }
+
+    /// Catches: a token or a question that goes to whomever an answer names.
+    #[test]
+    fn replicas_are_followed_to_where_something_vouches_for_them() {
+        let listed = |url: &str, replicas: &[&str]| {
+            let replicas = replicas.iter().map(|&replica| replica.to_owned()).collect();
+            ServiceAddress { replicas, ..ServiceAddress::at(url) }.endpoint().unwrap()
+        };
+        let plain = listed("http://fleet:50051", &["http://a:1", "http://B:1"]);
+        for url in ["http://a:1", "http://b:1", "http://fleet:50051"] {
+            assert!(plain.follows(url).is_some(), "{url}");
+        }
+        for url in ["http://a:2", "https://a:1", "http://c:1", "http://a:1@c:1", "", "a:1", "http://a"] {
+            assert!(plain.follows(url).is_none(), "{url}");
+        }
+        let public = listed("https://fleet:1", &["https://a:1"]);
+        assert!(public.follows("https://a:1").is_some());
+        assert!(public.follows("https://anybody:1").is_none(), "public authorities vouch for anybody");
+        let ca_pem = Some(String::new());
+        let own = ServiceAddress { ca_pem, ..ServiceAddress::at("https://fleet:1") }.endpoint().unwrap();
+        assert!(own.follows("https://b:1").is_some());
+        assert!(own.follows("http://b:1").is_none(), "unencrypted");
+        let other = ServiceEndpoint::from(Endpoint::from_static("http://a:1"));
+        assert!(other.follows("http://a:1").is_none(), "nothing is known of it");
     }
 }

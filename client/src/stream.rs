@@ -1,6 +1,9 @@
 //! Asking again and again over one stream, which carries only what is new.
 
+use std::sync::Arc;
+
 use echofix_core::geo::RoutingRegion;
+use echofix_proto::v1::localization_service_client::LocalizationServiceClient;
 use echofix_proto::v1::localize_stream_response::Outcome;
 use echofix_proto::{delta, v1};
 use prost::Message;
@@ -10,9 +13,9 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Request, Status, Streaming};
 
 use crate::backoff::Backoff;
-use crate::localizer::Localizer;
+use crate::localizer::{Localizer, halfway};
 use crate::refusal::{CallError, RefusalReason};
-use crate::routing;
+use crate::routing::{self, Asked};
 use crate::vehicle::LocalizationQuestion;
 
 /// Bytes that gRPC puts before each message.
@@ -32,7 +35,8 @@ pub struct StreamTraffic {
 /// One vehicle's questions to the service, one after the other. Each gets the answer that [`Localizer::ask`] gets, for a
 /// fraction of the bytes: while the service keeps the last batch, only what is new of the next one is sent.
 ///
-/// A stream that breaks is made anew, and so is one whose vehicle has come into another [`RoutingRegion`]. A service
+/// A stream that breaks is made anew, and so is one whose vehicle has come into another [`RoutingRegion`], or whose region another
+/// replica keeps warm, as an answer said. A service
 /// that keeps no batches is asked with whole ones.
 #[derive(Debug)]
 pub struct LocalizationStream {
@@ -47,6 +51,8 @@ struct OpenStream {
     questions: mpsc::Sender<v1::LocalizeStreamRequest>,
     answers: Streaming<v1::LocalizeStreamResponse>,
     region: Option<RoutingRegion>,
+    /// The replica that it goes to, where it is not the configured address.
+    replica: Option<Arc<str>>,
     /// The batch that the service keeps, and its question's number.
     kept: Option<(u64, v1::Batch)>,
 }
@@ -102,12 +108,13 @@ impl LocalizationStream {
 
     async fn attempt(&mut self, request: &v1::LocalizeRequest, until: Instant) -> Attempt {
         let region = routing::region_of(request);
-        let mut open = match self.open.take().filter(|open| open.region == region) {
+        let asked_now = self.localizer.router().ask(region);
+        let goes_on = |open: &OpenStream| open.region == region && open.replica == asked_now.replica;
+        let mut open = match self.open.take().filter(goes_on) {
             Some(open) => open,
-            None => match timeout_at(until, self.localizer.open_stream(region)).await {
-                Ok(Ok((questions, answers))) => OpenStream { questions, answers, region, kept: None },
-                Ok(Err(status)) => return Attempt::Failed(CallError::from(&status)),
-                Err(_) => return Attempt::Failed(CallError::Deadline),
+            None => match self.localizer.open_stream(region, asked_now, until).await {
+                Ok(open) => open,
+                Err(error) => return Attempt::Failed(error),
             },
         };
         let fresh = open.kept.is_none();
@@ -118,11 +125,12 @@ impl LocalizationStream {
             return Attempt::Anew;
         }
         // It is put back only when its answer came: what is dropped or times out leaves no stream that is a question behind.
+        let until = if open.replica.is_some() { halfway(until) } else { until };
         let answer = match timeout_at(until, answer_to(&mut open.answers, self.sequence)).await {
             Ok(Ok(answer)) => answer,
             Ok(Err(_)) if !fresh => return Attempt::Anew,
-            Ok(Err(status)) => return Attempt::Failed(CallError::from(&status)),
-            Err(_) => return Attempt::Failed(CallError::Deadline),
+            Ok(Err(status)) => return Attempt::Failed(self.left(&open, CallError::from(&status))),
+            Err(_) => return Attempt::Failed(self.left(&open, CallError::Deadline)),
         };
         let kept = answer.kept_batch.filter(|number| *number == self.sequence);
         let batch = kept.zip(request.batch.clone());
@@ -150,6 +158,11 @@ impl LocalizationStream {
         };
         self.open = Some(open);
         attempt
+    }
+
+    /// A stream that failed before its first answer, or was silent: its replica is not asked again, if it was not configured.
+    fn left(&self, open: &OpenStream, error: CallError) -> CallError {
+        self.localizer.router().left(open.replica.as_ref(), error)
     }
 
     fn count(&mut self, asked: &v1::LocalizeStreamRequest, was_delta: bool) {
@@ -201,13 +214,29 @@ impl Localizer {
     async fn open_stream(
         &self,
         region: Option<RoutingRegion>,
-    ) -> Result<(mpsc::Sender<v1::LocalizeStreamRequest>, Streaming<v1::LocalizeStreamResponse>), Status>
-    {
+        Asked { channel, replica }: Asked,
+        until: Instant,
+    ) -> Result<OpenStream, CallError> {
         let (questions, asked) = mpsc::channel(1);
         let mut request = Request::new(ReceiverStream::new(asked));
         routing::mark(&mut request, region);
-        let answers = self.client().localize_stream(request).await?.into_inner();
-        Ok((questions, answers))
+        let until = if replica.is_some() { halfway(until) } else { until };
+        let mut client = LocalizationServiceClient::new(channel);
+        let error = match timeout_at(until, client.localize_stream(request)).await {
+            Ok(Ok(answers)) => {
+                self.router().heard(region, answers.metadata());
+                return Ok(OpenStream {
+                    questions,
+                    answers: answers.into_inner(),
+                    region,
+                    replica,
+                    kept: None,
+                });
+            }
+            Ok(Err(status)) => CallError::from(&status),
+            Err(_) => CallError::Deadline,
+        };
+        Err(self.router().left(replica.as_ref(), error))
     }
 }
 

@@ -4,12 +4,15 @@ mod outcome;
 
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use echofix_client::service::{ServiceAddress, ServiceEndpoint};
 use echofix_client::upload::spool::{Spool, SpoolLimits};
-use echofix_client::upload::{PreparedUpload, RecorderConfig, UploadEvent, Uploader, UploaderOptions};
+use echofix_client::upload::{
+    Demand, PreparedUpload, RecorderConfig, UploadEvent, Uploader, UploaderOptions,
+};
 use echofix_core::drive::Drive;
 use indicatif::ProgressBar;
 use tokio::sync::{mpsc, watch};
@@ -17,7 +20,7 @@ use tokio::time::Instant;
 
 pub use outcome::{Interrupted, Publication, RepeatedError, Spooled, UploadedDrive};
 
-use crate::recording::{RecordedDrive, record};
+use crate::recording::{RecordedDrive, record_wanted};
 
 /// How long the service may acknowledge nothing before it is given up.
 pub const PATIENCE: Duration = Duration::from_mins(1);
@@ -37,10 +40,11 @@ pub async fn upload(
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
     let (_, nobody) = watch::channel(false);
-    upload_to(drive, ServiceAddress::at(server).endpoint()?, spool, config, (patience, nobody), bar).await
+    let service = ServiceAddress::at(server).endpoint()?;
+    upload_to(drive, service, spool, (config, None), (patience, nobody), bar).await
 }
 
-/// The same as somebody whom the service knows. Once the user interrupts it, it says how far it came.
+/// The same as somebody whom the service knows, and only what is wanted, where it is known what that is. Once the user interrupts it, it says how far it came.
 ///
 /// # Errors
 /// As [`upload`].
@@ -48,14 +52,15 @@ pub async fn upload_to(
     drive: &Drive,
     service: ServiceEndpoint,
     spool: &Path,
-    config: RecorderConfig,
+    (config, wanted): (RecorderConfig, Option<Arc<Demand>>),
     (patience, mut interrupted): (Duration, watch::Receiver<bool>),
     bar: &ProgressBar,
 ) -> anyhow::Result<UploadedDrive> {
-    let RecordedDrive { uploads, left_out, findings, flaws, .. } = record(drive, config)?;
+    let RecordedDrive { uploads, left_out, findings, flaws, not_wanted } =
+        record_wanted(drive, config, wanted.as_ref())?;
     let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
-    let mut done = UploadedDrive { left_out, findings, flaws, ..UploadedDrive::default() };
-    if uploads.is_empty() {
+    let mut done = UploadedDrive { left_out, findings, flaws, not_wanted, ..UploadedDrive::default() };
+    if uploads.is_empty() && not_wanted == 0 {
         bail!("nothing of the drive of `{}` can be mapped; {}", drive.vehicle, done.why_nothing());
     }
     let opened = Spool::open(spool, SpoolLimits::default()).context("opening the upload spool")?;

@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use echofix_proto::v1::UploadResponse;
+use echofix_core::geo::RoutingRegion;
+use echofix_proto::v1::{GetCoverageRequest, UploadResponse};
 use echofix_tests::seaweedfs::SeaweedFs;
 use echofix_tests::service::{Service, Setup};
 use echofix_tests::tiles::{self, Tiles};
@@ -244,4 +245,61 @@ async fn while_the_object_store_is_away_the_map_is_served_and_uploads_are_shed()
         assert_eq!(answer.duplicate, number < 20, "upload {number}");
     }
     assert_eq!(mapping::folded(&service).await, 24);
+}
+
+/// A replica that announces where it listens.
+fn announced(store: &SeaweedFs) -> Setup {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let mut setup = replica(store);
+    setup.settings.push(format!("grpc.listen=127.0.0.1:{port}"));
+    setup.settings.push(format!("store.announce=http://127.0.0.1:{port}"));
+    setup
+}
+
+/// Which replica a call for a region is told to ask; `None` where it is told nothing.
+async fn told_of(service: &Service, region: &str) -> Option<String> {
+    let mut request = tonic::Request::new(GetCoverageRequest::default());
+    request.metadata_mut().insert("x-echofix-region", region.parse().unwrap());
+    let answer = grpc::reading(service).await.get_coverage(request).await.expect("any replica answers");
+    answer.metadata().get("x-echofix-better-asked-at").map(|url| url.to_str().unwrap().to_owned())
+}
+
+/// Catches: replicas that do not find each other in the bucket, that disagree on whose a region is, that name one that is gone,
+/// and calls that are not answered where they are better asked elsewhere.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs SeaweedFS: tests/s3/seaweedfs install"]
+async fn replicas_name_the_one_that_keeps_a_region_warm() {
+    let store = SeaweedFs::start();
+    let mut replicas: Vec<_> = (0..3).map(|_| Service::start_as(announced(&store))).collect();
+    let addresses: Vec<_> = replicas.iter().map(|service| service.grpc.clone()).collect();
+    let regions: Vec<_> = (0..60).map(|at| format!("32614/{at}/511")).collect();
+    let keeper = |region: &str, living: &[String]| {
+        let region: RoutingRegion = region.parse().unwrap();
+        living[region.best_of(living).unwrap()].clone()
+    };
+    let agree = async |replicas: &[Service], living: &[String]| {
+        let deadline = Instant::now() + Duration::from_mins(2);
+        'again: loop {
+            for region in &regions {
+                let expected = keeper(region, living);
+                for service in replicas {
+                    let told = told_of(service, region).await;
+                    if told != (service.grpc != expected).then(|| expected.clone()) {
+                        assert!(Instant::now() < deadline, "{region}: {} says {told:?}", service.grpc);
+                        tokio::time::sleep(Duration::from_millis(200)).await;
+                        continue 'again;
+                    }
+                }
+            }
+            return;
+        }
+    };
+    agree(&replicas, &addresses).await;
+    replicas[2].kill();
+    let living = &addresses[..2];
+    agree(&replicas[..2], living).await;
+    // What one of three kept went to both others, and nothing else moved.
+    let moved: Vec<_> = regions.iter().filter(|region| keeper(region, &addresses) == addresses[2]).collect();
+    let to = |address: &String| moved.iter().filter(|region| keeper(region, living) == *address).count();
+    assert!(to(&addresses[0]) > 0 && to(&addresses[1]) > 0, "{moved:?}");
 }

@@ -53,6 +53,34 @@ fn a_log_that_is_mapped_again_counts_once() {
     assert!(table.contains("cells served") && !table.contains('{'), "{table}");
 }
 
+/// Catches: a command that sends what nobody wants although it was told to ask, one that leaves out what is wanted, and one that
+/// does not say what it left out.
+#[test]
+fn only_what_is_wanted_is_sent_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let service = Service::start_with(&["mapping.enough_passes=1", "mapping.refresh_days=14"]);
+    let (log, spool) = (simulated(&folder), path(&folder, "spool"));
+    let map = |more: &[&str]| {
+        let usual = ["map", &log, "--server", &service.grpc, "--spool", &spool];
+        echofix(usual.iter().chain(more))
+    };
+    let result = |more: &[&str]| map(&[more, &["--json"]].concat()).json()["result"].take();
+    let first = result(&["--wanted-only"]);
+    assert_eq!(first["not_wanted"], 0, "nothing is known yet: {first:#}");
+    assert_eq!(first["uploads"], first["recorded"], "{first:#}");
+    let again = result(&["--wanted-only", "--contributor", "another"]);
+    assert_eq!(again["not_wanted"], first["recorded"], "{again:#}");
+    assert_eq!((&again["uploads"], &again["recorded"]), (&0.into(), &0.into()), "{again:#}");
+    let told = map(&["--wanted-only"]).stdout;
+    let count = first["recorded"].to_string();
+    assert!(
+        told.contains(&format!("{count} uploads were not made")) && told.contains("--wanted-only"),
+        "{told}"
+    );
+    let all = result(&["--contributor", "another"]);
+    assert_eq!((&all["uploads"], &all["not_wanted"]), (&first["recorded"], &0.into()), "{all:#}");
+}
+
 /// Catches: an interrupted command that does not say how far it came, or leaves something behind.
 #[test]
 fn an_interrupted_run_says_how_far_it_came() {

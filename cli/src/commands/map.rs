@@ -12,7 +12,7 @@ use tokio::sync::watch;
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
-use super::publication::publication;
+use super::publication::{publication, wanted};
 use super::ranges::within;
 use super::status::why_waiting;
 
@@ -82,6 +82,10 @@ pub struct Args {
     /// where people live. This command leaves out nothing unless told to: the logs are the operator's own.
     #[arg(long, default_value_t = 0.0, value_parser = within(0.0..=100_000.0))]
     trim_ends_m: f64,
+    /// Upload only what the service wants: nothing of places that it knows well, until they are due again. It is asked along each
+    /// drive's poses, and wants everything unless `mapping.enough_passes` is set.
+    #[arg(long)]
+    wanted_only: bool,
     /// Give up when the service has acknowledged nothing for this long, seconds. What it has not acknowledged stays in the spool.
     #[arg(long, default_value_t = 60.0, value_parser = within(0.1..=86_400.0))]
     patience_s: f64,
@@ -156,8 +160,10 @@ async fn map_drive(
     let patience = Duration::from_secs_f64(args.patience_s);
     let service = credentials.endpoint(credentials.server(args.server.as_deref()))?;
     let asked = service.clone();
+    let wanted = if args.wanted_only { Some(wanted(&drive, &service).await?) } else { None };
+    let recorded_as = (config, wanted);
     let uploaded =
-        upload_to(&drive, service, &args.spool, config, (patience, interrupted.clone()), &bar).await;
+        upload_to(&drive, service, &args.spool, recorded_as, (patience, interrupted.clone()), &bar).await;
     bar.finish_and_clear();
     let mut done = uploaded.inspect_err(|_| super::tell(&flaws))?;
     done.served = publication(&asked, &done).await;
@@ -181,6 +187,12 @@ fn report(path: &str, done: &UploadedDrive, json: bool) -> anyhow::Result<()> {
     done.flaws.lines().for_each(|line| println!("  {line}"));
     for finding in &done.findings {
         println!("  suspicious: {finding}");
+    }
+    if done.not_wanted > 0 {
+        println!(
+            "  {} uploads were not made: the service knows their places well for now (--wanted-only)",
+            done.not_wanted
+        );
     }
     if done.duplicates > 0 {
         println!(

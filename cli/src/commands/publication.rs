@@ -1,16 +1,19 @@
-//! What of an upload is served, and what waits for more contributors.
+//! What of an upload is served, what waits for more contributors, and what is wanted at all.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echofix_client::service::{CallerChannel, ServiceEndpoint};
+use anyhow::Context;
+use echofix_client::CoverageClient;
+use echofix_client::service::ServiceEndpoint;
+use echofix_client::upload::Demand;
+use echofix_core::drive::Drive;
 use echofix_core::geo::{Grid, LatLon, TileId, Zone};
+use echofix_core::time::day_of;
 use echofix_harness::uploading::{Publication, UploadedDrive};
-use echofix_proto::v1::map_service_client::MapServiceClient;
-use echofix_proto::v1::{GetCoverageRequest, GetCoverageResponse};
+use echofix_proto::v1::GetCoverageResponse;
 
-/// Points of one question, at most: what the service takes.
-const POINTS: usize = 4_096;
 /// How long folding is waited for: usually it takes far less.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// How often it is asked whether the uploads are folded.
@@ -19,37 +22,51 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// Asks the service what is served of the tiles of a drive's uploads, once they are folded. `None` where it does not fold them in
 /// time, or does not tell: the uploads are acknowledged all the same.
 pub(super) async fn publication(service: &ServiceEndpoint, done: &UploadedDrive) -> Option<Publication> {
-    let mut client = MapServiceClient::new(service.connect_lazy());
+    let client = CoverageClient::new(service);
     let asked = async {
-        reached(&mut client, done.epoch).await.ok()?;
-        of_tiles(&mut client, &done.tiles).await.ok()
+        reached(&client, done.epoch).await.ok()?;
+        of_tiles(&client, &done.tiles).await.ok()
     };
     tokio::time::timeout(PATIENCE, asked).await.ok().flatten()
 }
 
 /// Waits until the map is folded up to an epoch.
-async fn reached(client: &mut MapServiceClient<CallerChannel>, epoch: u64) -> anyhow::Result<()> {
+async fn reached(client: &CoverageClient, epoch: u64) -> anyhow::Result<()> {
     let began = Instant::now();
-    while client.get_coverage(GetCoverageRequest::default()).await?.into_inner().epoch < epoch {
+    while client.ask(&[]).await?.iter().all(|(_, map)| map.epoch < epoch) {
         anyhow::ensure!(began.elapsed() < PATIENCE, "the uploads are not folded yet");
         tokio::time::sleep(PAUSE).await;
     }
     Ok(())
 }
 
-async fn of_tiles(
-    client: &mut MapServiceClient<CallerChannel>,
-    tiles: &BTreeSet<(u32, i32, i32)>,
-) -> anyhow::Result<Publication> {
-    let centres: Vec<LatLon> = tiles.iter().filter_map(centre).collect();
+/// What the service wants of the places along a drive, on its day.
+///
+/// # Errors
+/// When the service does not say.
+pub(super) async fn wanted(drive: &Drive, service: &ServiceEndpoint) -> anyhow::Result<Arc<Demand>> {
+    let demand = Demand::of(&drive.vehicle);
+    let places: BTreeSet<_> = drive.reference.iter().filter_map(|pose| TileId::at(pose.at).ok()).collect();
+    // What a radar sees lies in the tiles around.
+    let near: BTreeSet<_> = places.iter().flat_map(|id| id.with_neighbours()).collect();
+    let points: Vec<_> = near.iter().filter_map(centre).collect();
+    let today = drive.reference.first().map_or(0, |pose| day_of(pose.time_us));
+    let answers = CoverageClient::new(service).ask(&points).await.context("asking what is wanted")?;
+    for (part, answer) in &answers {
+        demand.learn_coverage(part, answer, today);
+    }
+    Ok(Arc::new(demand))
+}
+
+async fn of_tiles(client: &CoverageClient, tiles: &BTreeSet<(u32, i32, i32)>) -> anyhow::Result<Publication> {
+    let id = |(epsg, x, y): &(u32, i32, i32)| {
+        let zone = Zone::from_epsg(*epsg).ok()?;
+        Some(TileId { zone, y: *y, x: *x })
+    };
+    let centres: Vec<LatLon> = tiles.iter().filter_map(id).filter_map(|id| centre(&id)).collect();
     let mut found = Publication { tiles: centres.len() as u64, ..Publication::default() };
-    for part in centres.chunks(POINTS) {
-        let request = GetCoverageRequest {
-            latitude_deg: part.iter().map(|at| at.lat_deg).collect(),
-            longitude_deg: part.iter().map(|at| at.lon_deg).collect(),
-            expectations: false,
-        };
-        count(&client.get_coverage(request).await?.into_inner(), &mut found);
+    for (_, coverage) in client.ask(&centres).await? {
+        count(&coverage, &mut found);
     }
     Ok(found)
 }
@@ -63,7 +80,6 @@ fn count(coverage: &GetCoverageResponse, found: &mut Publication) {
 }
 
 /// The middle of a tile; nothing for one that no zone has.
-fn centre((epsg, x, y): &(u32, i32, i32)) -> Option<LatLon> {
-    let id = TileId { zone: Zone::from_epsg(*epsg).ok()?, y: *y, x: *x };
+fn centre(id: &TileId) -> Option<LatLon> {
     Grid::new(id.zone).ok()?.unproject(id.centre()).ok()
 }

@@ -39,6 +39,8 @@ struct MockState {
     failing: HashSet<Uuid>,
     batches: Vec<v1::Batch>,
     forgetful: bool,
+    better: Option<String>,
+    regions: Vec<Option<String>>,
 }
 
 /// Follows its script, one behaviour a call, then accepts.
@@ -62,7 +64,34 @@ impl MockService {
     }
 
     pub(crate) fn endpoint(&self) -> Endpoint {
-        Endpoint::from_shared(format!("http://{}", self.address)).unwrap()
+        Endpoint::from_shared(self.url()).unwrap()
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// From now on its answers say that all is better asked elsewhere.
+    pub(crate) fn name_better(&self, url: Option<&str>) {
+        self.state.lock().unwrap().better = url.map(str::to_owned);
+    }
+
+    /// The regions that callers named.
+    pub(crate) fn regions(&self) -> Vec<Option<String>> {
+        self.state.lock().unwrap().regions.clone()
+    }
+
+    fn heard(&self, metadata: &tonic::metadata::MetadataMap) {
+        let region = metadata.get("x-echofix-region").map(|region| region.to_str().unwrap().to_owned());
+        self.state.lock().unwrap().regions.push(region);
+    }
+
+    fn answered<T>(&self, answer: T) -> Response<T> {
+        let mut answer = Response::new(answer);
+        if let Some(better) = &self.state.lock().unwrap().better {
+            answer.metadata_mut().insert("x-echofix-better-asked-at", better.parse().unwrap());
+        }
+        answer
     }
 
     /// Ids that count, in the order of their first arrival.
@@ -107,6 +136,7 @@ impl MappingService for MockService {
         &self,
         request: Request<Streaming<v1::UploadRequest>>,
     ) -> Result<Response<v1::UploadResponse>, Status> {
+        self.heard(request.metadata());
         let mut parts = request.into_inner();
         let Some(v1::UploadRequest { part: Some(Part::Header(header)) }) = parts.message().await? else {
             return Err(Status::invalid_argument("no header"));
@@ -138,9 +168,10 @@ impl LocalizationService for MockService {
         &self,
         request: Request<v1::LocalizeRequest>,
     ) -> Result<Response<v1::LocalizeResponse>, Status> {
+        self.heard(request.metadata());
         let time_us = request.into_inner().batch.unwrap_or_default().reference_time_us;
         match self.next() {
-            Behaviour::Accept => Ok(Response::new(super::usable_answer(time_us))),
+            Behaviour::Accept => Ok(self.answered(super::usable_answer(time_us))),
             Behaviour::Fail(status) => Err(status),
             _ => future::pending().await,
         }
@@ -153,6 +184,7 @@ impl LocalizationService for MockService {
         &self,
         request: Request<Streaming<v1::LocalizeStreamRequest>>,
     ) -> Result<Response<Self::LocalizeStreamStream>, Status> {
+        self.heard(request.metadata());
         let (this, mut asked) = (self.clone(), request.into_inner());
         let (answers, answered) = tokio::sync::mpsc::channel(1);
         tokio::spawn(async move {
@@ -165,7 +197,7 @@ impl LocalizationService for MockService {
                 }
             }
         });
-        Ok(Response::new(ReceiverStream::new(answered)))
+        Ok(self.answered(ReceiverStream::new(answered)))
     }
 }
 

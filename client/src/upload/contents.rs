@@ -4,6 +4,7 @@ use echofix_core::convention::Finding;
 use echofix_core::drive::GeoPose;
 use echofix_core::evidence::{EvidenceDelta, codec};
 use echofix_core::gate::Dropped;
+use echofix_core::geo::{LatLon, RoutingRegion};
 use echofix_core::scan::{Mount, Scan};
 use echofix_core::tile::DecodeError;
 use echofix_core::time::DAY_US;
@@ -12,7 +13,7 @@ use echofix_proto::v1::upload_request::Part;
 use prost::Message;
 use uuid::Uuid;
 
-use crate::wire;
+use crate::{routing, wire};
 
 /// Detections in a chunk, at most: some 20 kB. A chunk must cross within the time the service waits for
 /// a silent caller, on slow networks, too.
@@ -168,6 +169,20 @@ impl PreparedUpload {
     /// When its bytes are not an evidence delta's.
     pub fn evidence(&self) -> Result<EvidenceDelta, DecodeError> {
         codec::decode(&self.evidence_bytes(), MAX_EVIDENCE)
+    }
+
+    /// The region where most of its evidence lies, or a raw one's first pose; `None` where nothing says it.
+    pub(crate) fn region(&self) -> Option<RoutingRegion> {
+        let poses = self.chunks().find_map(|chunk| chunk.poses.as_ref());
+        let first =
+            poses.and_then(|poses| Some((*poses.latitude_deg.first()?, *poses.longitude_deg.first()?)));
+        match first {
+            Some((lat_deg, lon_deg)) => routing::region_at(LatLon { lat_deg, lon_deg }),
+            None => {
+                let delta = self.evidence().ok()?;
+                routing::region_of_most(delta.tiles.iter().map(|(id, tile)| (*id, tile.detections())))
+            }
+        }
     }
 
     fn evidence_bytes(&self) -> Vec<u8> {

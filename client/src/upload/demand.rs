@@ -27,7 +27,8 @@ const HEAD: &str = "echofix demand 1";
 /// [`Demand::surprise`] asks for an upload all the same.
 #[derive(Debug)]
 pub struct Demand {
-    path: PathBuf,
+    /// Where it is kept from trip to trip, if it is.
+    path: Option<PathBuf>,
     /// Of the vehicle; spreads a fleet over the days.
     hash: u32,
     days: Mutex<HashMap<TileId, u16>>,
@@ -51,11 +52,14 @@ impl Demand {
             }
             HashMap::new()
         });
-        Ok(Self {
-            path: path.to_owned(),
-            hash: crc32c::crc32c(contributor.as_bytes()),
-            days: Mutex::new(days),
-        })
+        let path = Some(path.to_owned());
+        Ok(Self { path, hash: crc32c::crc32c(contributor.as_bytes()), days: Mutex::new(days) })
+    }
+
+    /// One that knows nothing yet, and is not kept.
+    #[must_use]
+    pub fn of(contributor: &str) -> Self {
+        Self { path: None, hash: crc32c::crc32c(contributor.as_bytes()), days: Mutex::default() }
     }
 
     /// Learns from the answer to an upload. `today` is the UTC day, counted from the Unix epoch.
@@ -106,19 +110,20 @@ impl Demand {
         wanted as f64 >= LEAST_SHARE * all as f64
     }
 
-    /// Writes it to disk, whole or not at all.
+    /// Writes it to disk, whole or not at all; nothing where it is not kept.
     ///
     /// # Errors
     /// When the file system refuses.
     pub fn save(&self) -> io::Result<()> {
+        let Some(path) = &self.path else { return Ok(()) };
         let mut lines: Vec<_> = self.lock().iter().map(|(id, day)| (*id, *day)).collect();
         lines.sort_unstable();
         let mut text = format!("{HEAD}\n");
         for (id, day) in lines {
             let _ = writeln!(text, "{} {} {} {day}", id.zone.epsg(), id.x, id.y);
         }
-        let dir = self.path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        write_durably(dir, &self.path, text.as_bytes())
+        let dir = path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        write_durably(dir, path, text.as_bytes())
     }
 
     fn set(&self, id: TileId, wanted_from: u32, today: u16) {

@@ -17,6 +17,7 @@ use super::progress::{Observer, UploadEvent, UploadProgress, UploaderOptions};
 use super::spool::{self, Spool};
 use crate::backoff::Backoff;
 use crate::refusal::CallError;
+use crate::routing;
 use crate::service::{CallerChannel, ServiceEndpoint};
 
 /// What goes wrong with one upload.
@@ -168,8 +169,9 @@ async fn send(
     upload: PreparedUpload,
     patience: Duration,
 ) -> Result<v1::UploadResponse, CallError> {
-    let id = upload.id().to_string();
+    let (id, region) = (upload.id().to_string(), upload.region());
     let mut request = Request::new(tokio_stream::iter(upload.into_parts()));
+    routing::mark(&mut request, region);
     request.set_timeout(patience);
     let answer = match tokio::time::timeout(patience, client.upload(request)).await {
         Err(_) => return Err(CallError::Deadline),

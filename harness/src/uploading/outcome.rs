@@ -63,6 +63,8 @@ pub struct UploadedDrive {
     pub refused: u64,
     /// Uploads that could not be sent yet; they stay in the spool.
     pub waiting: u64,
+    /// Uploads that were not made, since the service does not want them now.
+    pub not_wanted: u64,
     /// Detections recorded.
     pub detections: u64,
     /// The most days by which an upload is older than the map's newest evidence, where that is long.
@@ -158,7 +160,7 @@ impl UploadedDrive {
         match ended {
             Ended::Interrupted => Err(Interrupted(stay).into()),
             Ended::GivenUp => bail!("the service acknowledged nothing for too long: {stay}{last}"),
-            Ended::Sent if self.uploads == 0 => {
+            Ended::Sent if self.uploads == 0 && recorded > 0 => {
                 bail!("the service refused every upload of `{vehicle}`{last}")
             }
             Ended::Sent => Ok(()),

@@ -42,6 +42,7 @@ use inside::Inside;
 use lengths::Length;
 use load::Load;
 use lost::Lost;
+pub(crate) use page::head;
 use page::page;
 use sizes::Size;
 use town::{BenchTown, UploadCost};

@@ -43,7 +43,7 @@ pub fn page(figures: &Figures, command: &str) -> String {
 }
 
 /// The heading and the first lines of a table.
-pub(super) fn head(title: &str, columns: &[&str]) -> String {
+pub(crate) fn head(title: &str, columns: &[&str]) -> String {
     let columns_md: String = columns.iter().fold(String::new(), |line, column| line + " | " + column);
     format!("\n## {title}\n\n{} |\n|{}\n", columns_md.trim_start(), "---|".repeat(columns.len()))
 }

@@ -123,10 +123,33 @@ fn store(store: &StoreConfig) -> Vec<Rule> {
             store.place().is_some(),
             "must be empty, `file:` with a directory, or `s3://bucket/prefix`; credentials come from AWS_* in the environment",
         ),
+        (
+            "store.announce",
+            store.announce.is_empty() || is_address(&store.announce),
+            "must be empty, or `https://host:port` (`http://...` without TLS): where vehicles reach this service itself",
+        ),
+        (
+            "store.announce",
+            store.announce.is_empty() || store.bucket().is_some(),
+            "needs a map that services share: set `store.url` to `s3://bucket/prefix`",
+        ),
         ("store.data_dir", named, "is empty; name the directory that holds the map"),
         ("store.cache_mib", (1..=1 << 20).contains(&store.cache_mib), "must lie within 1 and 1048576"),
         ("store.segment_mib", (1..=1024).contains(&store.segment_mib), "must lie within 1 and 1024"),
     ]
+}
+
+/// A scheme, a host and a port, and nothing else.
+fn is_address(text: &str) -> bool {
+    let Ok(uri) = text.parse::<axum::http::Uri>() else { return false };
+    let plain = uri.authority().is_some_and(|authority| !authority.as_str().contains('@'));
+    let scheme = matches!(uri.scheme_str(), Some("http" | "https"));
+    scheme
+        && plain
+        && uri.port_u16().is_some()
+        && !text.ends_with('/')
+        && uri.path() == "/"
+        && uri.query().is_none()
 }
 
 fn locating(locating: &LocatingConfig, radar_range_m: f64) -> Vec<Rule> {

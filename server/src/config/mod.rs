@@ -191,6 +191,8 @@ impl AlarmsConfig {
 pub struct StoreConfig {
     /// Where the map is stored: nothing for the data directory, `file:` and another one, or `s3://bucket/prefix`.
     pub url: String,
+    /// Where vehicles reach this service itself, which others that share its map may tell them; nowhere when empty.
+    pub announce: String,
     /// The data directory; of a map in a bucket, its copy.
     pub data_dir: PathBuf,
     /// What tiles are stored in.
@@ -235,6 +237,12 @@ impl StoreConfig {
             // Without a place the configuration is refused.
             Some(StorePlace::Bucket(_)) | None => self.data_dir.clone(),
         }
+    }
+
+    /// The address that is announced, where there is one.
+    #[must_use]
+    pub fn announced(&self) -> Option<String> {
+        (!self.announce.is_empty()).then(|| self.announce.clone())
     }
 
     /// The bucket that services share, where the map is stored in one.

@@ -141,6 +141,11 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
         ("limits.streams_per_connection", "4000000000"),
         ("limits.streams_per_connection", "0"),
         ("locating.integrity_risk", "0.999"),
+        ("store.announce", "replica-0:50051"),
+        ("store.announce", "https://replica-0"),
+        ("store.announce", "https://replica-0:50051/"),
+        // With nobody to tell it to.
+        ("store.announce", "https://replica-0:50051"),
         ("store.url", "maps"),
         ("store.url", "s3://"),
         ("store.url", "s3:///prefix"),

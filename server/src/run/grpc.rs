@@ -20,6 +20,7 @@ use super::calls::CallsLayer;
 use super::connections::{Acceptor, Door};
 use super::counted::CountedLayer;
 use super::listener::Listener;
+use super::routing::RoutingLayer;
 use super::{Error, LATE_FRAMES, ServiceContext, ended, figures};
 use crate::access_log::AccessLogLayer;
 use crate::config::LimitsConfig;
@@ -97,6 +98,7 @@ pub(super) async fn serve(
         .layer(CallsLayer::new(limits.pace(), ending.clone()))
         .layer(MapResponseLayer::new(tell_faults(metrics.clone())))
         .layer(HeadsLayer(Access::new(shared.gate.clone(), shared.rates.clone())))
+        .layer(RoutingLayer::of(store.as_ref(), &shared.config.store.announce))
         .layer(HeadsLayer(Admission::new(locator, metrics.clone())))
         .add_service(localization)
         .add_service(mapping)

@@ -7,6 +7,7 @@
 //! - [`listener`]: addresses of the network, and unix sockets.
 //! - [`figures`]: what is looked up when somebody reads the metrics.
 //! - [`follow`]: health and metrics follow the store.
+//! - [`routing`]: calls that are better asked of another service are told so.
 //! - [`retention`]: old uploads are compacted.
 //! - [`quarantine`]: what vetting keeps out is told.
 //! - [`webhook`]: alarms are sent to where somebody is woken.
@@ -22,6 +23,7 @@ mod http;
 mod listener;
 mod quarantine;
 mod retention;
+mod routing;
 mod signals;
 mod webhook;
 
@@ -148,6 +150,7 @@ impl Server {
             table: config.store.table,
             cache_bytes: config.store.cache_mib << 20,
             segment_bytes: config.store.segment_mib << 20,
+            announce: config.store.announced(),
             ..Options::new(dir.clone(), config.mapping.policy())
         };
         let lanes = Lanes::start().map_err(Error::Threads)?;

@@ -29,6 +29,8 @@ pub struct Options {
     pub policy: Policy,
     /// What day it is.
     pub clock: StoreClock,
+    /// Where vehicles reach this service, which others that share its map may tell them.
+    pub announce: Option<String>,
 }
 
 impl Options {
@@ -44,6 +46,7 @@ impl Options {
             write_buffer_tiles: 2048,
             policy,
             clock: StoreClock::default(),
+            announce: None,
         }
     }
 

@@ -72,6 +72,12 @@ pub trait MapStore: Send + Sync {
     /// Follows how far the journal reaches and how far it is folded.
     fn progress(&self) -> watch::Receiver<MapProgress>;
 
+    /// The addresses at which vehicles reach the services that share this map and live, this one's own among them, in order;
+    /// `None` where it has none, or shares with nobody.
+    fn replicas(&self) -> Option<watch::Receiver<Vec<String>>> {
+        None
+    }
+
     /// What has stopped for good, so that only a restart helps; `None` while all works or is tried again.
     fn hang(&self) -> Option<String> {
         None

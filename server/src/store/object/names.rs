@@ -37,6 +37,16 @@ impl Shard {
         format!("s/{}/p/{epoch:020}-{id}", self.0)
     }
 
+    /// The folder of the addresses of services that share the map.
+    pub(in crate::store) fn announcements(self) -> String {
+        format!("s/{}/a", self.0)
+    }
+
+    /// A service's announcement of its address: each time another one.
+    pub(in crate::store) fn announcement(self, writer: Uuid, number: u64) -> String {
+        format!("s/{}/a/{}-{number:020}", self.0, writer.simple())
+    }
+
     /// What is put and deleted to see whether the store takes anything.
     pub(in crate::store) fn trial(self, id: Uuid) -> String {
         format!("s/{}/w/{id}", self.0)
@@ -46,6 +56,12 @@ impl Shard {
 /// The number of a segment, by its name.
 pub(in crate::store) fn seq_of(name: &str) -> Option<u64> {
     name.rsplit('/').next()?.parse().ok()
+}
+
+/// Who made an announcement, and which of its own it is, by its name.
+pub(in crate::store) fn announced(name: &str) -> Option<(Uuid, u64)> {
+    let (writer, number) = name.rsplit('/').next()?.split_once('-')?;
+    Some((Uuid::parse_str(writer).ok()?, number.parse().ok()?))
 }
 
 /// The epoch of the manifest that a pack was made for, by its name.

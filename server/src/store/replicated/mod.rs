@@ -6,8 +6,10 @@
 //! - [`copy`]: the data directory is begun, and brought up to the end of the shared journal.
 //! - [`sequencer`]: the thread that reads the shared journal, and appends to it.
 //! - [`shared_map`]: what operators see of the bucket, and a directory's way into one.
+//! - [`announcing`]: the thread by which servers know who else lives, and where.
 //! - [`keeper`]: the thread that publishes what was compacted, and deletes what is no longer needed.
 
+mod announcing;
 mod copy;
 mod keeper;
 mod sequencer;
@@ -57,12 +59,19 @@ pub(in crate::store) struct Pace {
     pub(in crate::store) keep: Duration,
     /// What is deleted is at least so old.
     pub(in crate::store) age: Duration,
+    /// A server that has an address announces it.
+    pub(in crate::store) announce: Duration,
 }
 
 impl Default for Pace {
     fn default() -> Self {
         let seconds = Duration::from_secs;
-        Self { poll: Duration::from_millis(500), keep: seconds(30), age: seconds(3600) }
+        Self {
+            poll: Duration::from_millis(500),
+            keep: seconds(30),
+            age: seconds(3600),
+            announce: seconds(10),
+        }
     }
 }
 
@@ -70,6 +79,8 @@ impl Default for Pace {
 pub struct ReplicatedStore {
     ended: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
+    /// The addresses of those that live, where this one has an address.
+    living: Option<watch::Receiver<Vec<String>>>,
     /// Declared last: its threads go first.
     pub(in crate::store) copy: EmbeddedStore,
 }
@@ -107,7 +118,23 @@ impl ReplicatedStore {
         let thread = std::thread::Builder::new().name("keeper".to_owned());
         let keeper = thread.spawn(move || keeper.run(&keeping)).map_err(io_error("starting the keeper"));
         let keeper = keeper.inspect_err(|_| ended.store(true, Ordering::Release))?;
-        Ok(Self { ended, threads: vec![sequencer, keeper], copy })
+        let mut store = Self { ended, threads: vec![sequencer, keeper], living: None, copy };
+        if let Some(address) = options.announce.clone() {
+            store.announce((client.clone(), writer), address, pace.announce)?;
+        }
+        Ok(store)
+    }
+
+    /// Tells others where vehicles reach this server, and looks for theirs.
+    fn announce(&mut self, bucket: (Client, Uuid), address: String, every: Duration) -> Result<(), Error> {
+        let (tell, living) = watch::channel(Vec::new());
+        let announcer = announcing::Announcer::new(bucket, address, every, tell);
+        let ended = self.ended.clone();
+        let thread = std::thread::Builder::new().name("announcer".to_owned());
+        let thread = thread.spawn(move || announcer.run(&ended)).map_err(io_error("starting to announce"))?;
+        self.threads.push(thread);
+        self.living = Some(living);
+        Ok(())
     }
 }
 
@@ -175,6 +202,10 @@ impl MapStore for ReplicatedStore {
 
     fn progress(&self) -> watch::Receiver<MapProgress> {
         self.copy.progress()
+    }
+
+    fn replicas(&self) -> Option<watch::Receiver<Vec<String>>> {
+        self.living.clone()
     }
 
     fn hang(&self) -> Option<String> {

@@ -4,14 +4,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
+use crate::store::object::body;
 use crate::store::object::bucket::Bucket;
 use crate::store::object::client::{Client, Patience};
 use crate::store::object::names::Shard;
 use crate::store::object::testing::{Failing, Switched, client, memory};
 use crate::store::replicated::{Pace, ReplicatedStore};
 
-const PACE: Pace =
-    Pace { poll: Duration::from_millis(2), keep: Duration::from_millis(5), age: Duration::ZERO };
+const PACE: Pace = Pace {
+    poll: Duration::from_millis(2),
+    keep: Duration::from_millis(5),
+    age: Duration::ZERO,
+    announce: Duration::from_millis(20),
+};
 
 struct Replica {
     store: ReplicatedStore,
@@ -386,4 +391,49 @@ fn replicas_over_a_real_object_store_have_one_map() {
     assert!(replicas.iter().all(|replica| replica.map_of(250) == expected));
     assert!(embedded(&cold) == expected);
     assert!(SharedMap::at(&url).unwrap().verify().unwrap().damage.is_empty());
+}
+
+/// Catches: a replica that others do not come to know, one that is sent to after its end, and one that is taken for alive since
+/// its announcement was left.
+#[test]
+fn replicas_know_each_other_while_they_live() {
+    let client = client(memory());
+    let join = |name: &str| {
+        let dir = tempfile::tempdir().unwrap();
+        let options = Options { announce: Some(format!("http://{name}:1")), ..options(dir.path()) };
+        let store = ReplicatedStore::over(&client, &options, PACE).unwrap();
+        Replica { store, dir }
+    };
+    let known = |replica: &Replica, names: &[&str]| {
+        let living = replica.store.replicas().unwrap();
+        let names: Vec<_> = names.iter().map(|name| format!("http://{name}:1")).collect();
+        let began = Instant::now();
+        while *living.borrow() != names {
+            assert!(began.elapsed() < Duration::from_secs(30), "{:?}, and not {names:?}", living.borrow());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    // As a replica that was killed leaves it.
+    let left = body::wrap(*b"EFN\x01", b"http://gone:1");
+    client.put_new(&Shard(0).announcement(Uuid::now_v7(), 7), &left).unwrap();
+    client.put_new(&Shard(0).announcement(Uuid::now_v7(), 7), b"damaged").unwrap();
+    let (a, b, c) = (join("a"), join("b"), join("c"));
+    for replica in [&a, &b, &c] {
+        known(replica, &["a", "b", "c"]);
+    }
+    drop(b);
+    known(&a, &["a", "c"]);
+    known(&c, &["a", "c"]);
+    let b = join("b");
+    known(&c, &["a", "b", "c"]);
+    drop((a, b));
+    known(&c, &["c"]);
+    let silent = ReplicatedStore::over(&client, &options(tempfile::tempdir().unwrap().path()), PACE).unwrap();
+    assert!(silent.replicas().is_none());
+    // What was left is deleted in the end.
+    let began = Instant::now();
+    while client.list(&Shard(0).announcements()).unwrap().len() > 1 {
+        assert!(began.elapsed() < Duration::from_secs(30));
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
