@@ -207,14 +207,14 @@ mod tests {
 
     fn caught_up(store: &EmbeddedStore) {
         let progress = store.progress();
-        let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+        let deadline = std::time::Instant::now() + Duration::from_secs(20);
         let done = || {
             let now = *progress.borrow();
             now.state == MapStatus::Serving && now.epoch == now.journaled && now.building.is_none()
         };
         while !done() {
             assert!(std::time::Instant::now() < deadline);
-            std::thread::sleep(std::time::Duration::from_millis(1));
+            std::thread::sleep(Duration::from_millis(1));
         }
     }
 
@@ -289,7 +289,10 @@ mod tests {
             ids.iter()
                 .filter(|id| number == 2 || uploads[0].contribution.tiles.contains_key(id))
                 .for_each(asked);
-            ids.iter().for_each(|id| drop(is_there(id)));
+            // Now all of them were asked for.
+            for id in &ids {
+                let _ = is_there(id);
+            }
         }
         let mut later = uploads[0].clone();
         (later.id, later.pass.day) = (Uuid::from_u128(77), later.pass.day + 200);
