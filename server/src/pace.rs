@@ -200,7 +200,8 @@ async fn let_go<B: Body<Data = Bytes> + Unpin>(mut body: B, window: Option<usize
     if let Some(window) = window {
         // Unread bytes are not granted again, so that the peer sends no more than fit into the window.
         tokio::time::sleep(HELD_FOR).await;
-        if here(&mut body).await.is_none_or(|bytes| bytes + NEARLY_NOTHING > window) {
+        let full = window.saturating_sub(NEARLY_NOTHING);
+        if here(&mut body, full).await.is_none_or(|bytes| bytes > full) {
             return;
         }
     }
@@ -208,17 +209,18 @@ async fn let_go<B: Body<Data = Bytes> + Unpin>(mut body: B, window: Option<usize
     let _ = tokio::time::timeout(DROPPED_WITHIN, receive(body)).await;
 }
 
-/// Bytes of a body that are here; nothing when that is all of it.
-async fn here<B: Body<Data = Bytes> + Unpin>(body: &mut B) -> Option<usize> {
+/// Bytes of a body that are here, as far as there are no more than so many; nothing when that is all of it.
+async fn here<B: Body<Data = Bytes> + Unpin>(body: &mut B, most: usize) -> Option<usize> {
     let mut bytes = 0;
     std::future::poll_fn(|context| {
-        loop {
+        while bytes <= most {
             match Pin::new(&mut *body).poll_frame(context) {
                 Poll::Ready(Some(Ok(frame))) => bytes += frame.data_ref().map_or(0, Bytes::len),
                 Poll::Ready(Some(Err(_)) | None) => return Poll::Ready(None),
-                Poll::Pending => return Poll::Ready(Some(bytes)),
+                Poll::Pending => break,
             }
         }
+        Poll::Ready(Some(bytes))
     })
     .await
 }
@@ -307,5 +309,23 @@ mod tests {
         };
         assert_eq!(taken(3).await, 3);
         assert_eq!(taken(500).await, 17);
+    }
+
+    /// Catches: a refused call of which the service takes all, on a stream whose window is full.
+    #[tokio::test]
+    async fn what_fills_its_window_is_held_and_then_reset() {
+        let (_sender, ending) = ending();
+        let count = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&count);
+        let (dropped, is_dropped) = tokio::sync::oneshot::channel::<()>();
+        let chunks = tokio_stream::iter(0..500).map(move |_| {
+            let _held = &dropped;
+            counted.fetch_add(1, Ordering::Relaxed);
+            Ok::<_, std::io::Error>(Bytes::from(vec![0; 1 << 14]))
+        });
+        drop(PacedBody::new(AnyBody::from_stream(chunks), None, ending).within(1 << 16));
+        assert_eq!(count.load(Ordering::Relaxed), 0, "nothing is read at once");
+        assert!(is_dropped.await.is_err());
+        assert_eq!(count.load(Ordering::Relaxed), 4);
     }
 }
