@@ -1,4 +1,4 @@
-//! Bodies of requests: a peer that sends too slowly is given up, and what nobody reads is received and dropped.
+//! Bodies of requests: a peer that sends too slowly is given up, and what nobody reads is held or dropped.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -16,6 +16,11 @@ pub type BodyError = Box<dyn std::error::Error + Send + Sync>;
 /// Bytes of a body that nobody reads which are received, at most, and for how long.
 const DROPPED_BYTES: usize = 1 << 20;
 const DROPPED_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long a body that nobody reads is held, so that what its peer sent before it was told is here when its stream is reset.
+const HELD_FOR: Duration = Duration::from_millis(30);
+/// A peer that has so few bytes left of its window waits for more: a frame of the usual size no longer fits.
+const NEARLY_NOTHING: usize = 1 << 14;
 
 /// How slowly a peer may send.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,8 +72,10 @@ impl Ahead {
     }
 }
 
-/// The body of a request, read at a least pace. Where it is dropped before its end, the rest is received and dropped, within
-/// bounds: HTTP/2 counts what comes for a call that the service has reset against its connection, where others have calls, too.
+/// The body of a request, read at a least pace. Where it is dropped before its end, its peer may be sending: HTTP/2 counts what
+/// comes for a call that the service has reset against its connection, where others have calls, too. So the rest is held until the
+/// window of the stream is full, and only then reset: nothing more can come. Of a peer that is slower than that, or whose window
+/// is not known, the rest is received and dropped, within bounds.
 pub struct PacedBody<B>
 where
     B: Body<Data = Bytes> + Unpin + Send + 'static,
@@ -80,6 +87,8 @@ where
     timer: Option<Pin<Box<Sleep>>>,
     /// Turns true when the service ends: then nothing more is received.
     ending: watch::Receiver<bool>,
+    /// Bytes that the peer may send before any are read.
+    window: Option<usize>,
     /// How a late peer is told.
     told: fn(TooSlow) -> BodyError,
     runtime: Handle,
@@ -93,13 +102,20 @@ where
     /// A body that is read within this runtime; without a pace its peer may take its time.
     pub fn new(inner: B, pace: Option<Pace>, ending: watch::Receiver<bool>) -> Self {
         let (ahead, runtime) = (pace.map(Ahead::new), Handle::current());
-        Self { inner: Some(inner), ahead, timer: None, ending, told: Into::into, runtime }
+        Self { inner: Some(inner), ahead, timer: None, ending, window: None, told: Into::into, runtime }
     }
 
     /// The same, with an error that a port's library understands.
     #[must_use]
     pub fn told(mut self, told: fn(TooSlow) -> BodyError) -> Self {
         self.told = told;
+        self
+    }
+
+    /// The same, on streams with such a window.
+    #[must_use]
+    pub fn within(mut self, window: usize) -> Self {
+        self.window = Some(window);
         self
     }
 
@@ -168,15 +184,45 @@ where
     fn drop(&mut self) {
         let rest = self.inner.take().filter(|rest| !rest.is_end_stream() && !*self.ending.borrow());
         if let Some(rest) = rest {
-            let mut ending = self.ending.clone();
+            let (mut ending, window) = (self.ending.clone(), self.window);
             self.runtime.spawn(async move {
                 tokio::select! {
-                    _ = tokio::time::timeout(DROPPED_WITHIN, receive(rest)) => {}
+                    () = let_go(rest, window) => {}
                     _ = ending.wait_for(|ending| *ending) => {}
                 }
             });
         }
     }
+}
+
+/// Lets a body go that nobody reads.
+async fn let_go<B: Body<Data = Bytes> + Unpin>(mut body: B, window: Option<usize>) {
+    if let Some(window) = window {
+        // Unread bytes are not granted again, so that the peer sends no more than fit into the window.
+        tokio::time::sleep(HELD_FOR).await;
+        let full = window.saturating_sub(NEARLY_NOTHING);
+        if here(&mut body, full).await.is_none_or(|bytes| bytes > full) {
+            return;
+        }
+    }
+    // Who is still sending after its time goes on, or not.
+    let _ = tokio::time::timeout(DROPPED_WITHIN, receive(body)).await;
+}
+
+/// Bytes of a body that are here, as far as there are no more than so many; nothing when that is all of it.
+async fn here<B: Body<Data = Bytes> + Unpin>(body: &mut B, most: usize) -> Option<usize> {
+    let mut bytes = 0;
+    std::future::poll_fn(|context| {
+        while bytes <= most {
+            match Pin::new(&mut *body).poll_frame(context) {
+                Poll::Ready(Some(Ok(frame))) => bytes += frame.data_ref().map_or(0, Bytes::len),
+                Poll::Ready(Some(Err(_)) | None) => return Poll::Ready(None),
+                Poll::Pending => break,
+            }
+        }
+        Poll::Ready(Some(bytes))
+    })
+    .await
 }
 
 /// Receives and drops a body, up to some bytes.
@@ -263,5 +309,23 @@ mod tests {
         };
         assert_eq!(taken(3).await, 3);
         assert_eq!(taken(500).await, 17);
+    }
+
+    /// Catches: a refused call of which the service takes all, on a stream whose window is full.
+    #[tokio::test]
+    async fn what_fills_its_window_is_held_and_then_reset() {
+        let (_sender, ending) = ending();
+        let count = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&count);
+        let (dropped, is_dropped) = tokio::sync::oneshot::channel::<()>();
+        let chunks = tokio_stream::iter(0..500).map(move |_| {
+            let _held = &dropped;
+            counted.fetch_add(1, Ordering::Relaxed);
+            Ok::<_, std::io::Error>(Bytes::from(vec![0; 1 << 14]))
+        });
+        drop(PacedBody::new(AnyBody::from_stream(chunks), None, ending).within(1 << 16));
+        assert_eq!(count.load(Ordering::Relaxed), 0, "nothing is read at once");
+        assert!(is_dropped.await.is_err());
+        assert_eq!(count.load(Ordering::Relaxed), 4);
     }
 }

@@ -290,36 +290,69 @@ async fn other_names_and_other_pages_are_refused() {
     server.stop().await;
 }
 
-/// Catches: pings, settings and the like, taken by the million after one sound request.
+/// Frames that carry no request, on stream 0, on stream 1, which is over, or on stream 3, whose body is coming: type, flags, bytes of the
+/// payload.
+const EMPTY_FRAMES: [(u8, u8, u8, usize); 9] = [
+    (6, 0, 0, 8),
+    (4, 0, 0, 0),
+    (2, 0, 1, 5),
+    (8, 0, 0, 4),
+    (0xbb, 0, 0, 4),
+    (3, 0, 1, 4),
+    (0, 0, 3, 0),
+    (0, 0, 3, 1),
+    (0, 8, 3, 200),
+];
+
+/// Catches: pings, settings and the like, taken by the million after one sound request, on either port.
 #[tokio::test(flavor = "multi_thread")]
 async fn floods_of_frames_close_the_connection_soon() {
     let dir = tempfile::tempdir().unwrap();
     let server = TestServer::start(dir.path()).await;
-    for (kind, payload) in [(6_u8, 8_usize), (4, 0), (2, 5), (8, 4), (0xbb, 4)] {
-        let address = server.grpc;
-        let closed = tokio::task::spawn_blocking(move || flooded(address, kind, payload)).await.unwrap();
-        assert!(
-            closed.is_some_and(|after| after < Duration::from_secs(2)),
-            "frames of type {kind}: {closed:?}"
-        );
+    for address in [server.grpc, server.http] {
+        for frame in EMPTY_FRAMES {
+            let closed = tokio::task::spawn_blocking(move || flooded(address, frame)).await.unwrap();
+            let soon = closed.is_some_and(|after| after < Duration::from_secs(2));
+            assert!(soon, "port {}, frames {frame:?}: {closed:?}", address.port());
+        }
     }
     server.upload(drive(Uuid::now_v7(), 30.2672, -97.7431)).await.expect("others are served");
     server.stop().await;
 }
 
+/// A frame of HTTP/2.
+fn http2_frame(kind: u8, flags: u8, stream: u8, payload: &[u8]) -> Vec<u8> {
+    let length = (payload.len() as u32).to_be_bytes();
+    [&length[1..], &[kind, flags, 0, 0, 0, stream], payload].concat()
+}
+
+/// The headers of a request; a path that is not in the table of HPACK is spelt.
+fn headers(method: u8, path: &str) -> Vec<u8> {
+    let text = |index: u8, text: &str| [&[0x40 | index, text.len() as u8][..], text.as_bytes()].concat();
+    [vec![method, 0x86], text(4, path), text(1, "localhost"), text(31, "application/grpc")].concat()
+}
+
 /// After how long a connection that sends such frames is closed; none within five seconds.
-fn flooded(address: SocketAddr, kind: u8, payload: usize) -> Option<Duration> {
+fn flooded(address: SocketAddr, (kind, flags, stream_id, payload): (u8, u8, u8, usize)) -> Option<Duration> {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_write_timeout(Some(Duration::from_secs(1))).unwrap();
     let mut drain = stream.try_clone().unwrap();
     std::thread::spawn(move || while drain.read(&mut [0; 8_192]).is_ok_and(|read| read > 0) {});
-    stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0").unwrap();
-    let length = (payload as u32).to_be_bytes();
-    // A window may grow by one, and no more: on the connection, where the others belong, too.
-    let stream_id = u8::from(kind == 2);
-    let mut frame = [&length[1..], &[kind, 0, 0, 0, 0, stream_id]].concat();
-    frame.extend((0..payload).map(|at| u8::from(at + 1 == payload)));
-    let frames = frame.repeat(500);
+    let sound = [
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec(),
+        http2_frame(4, 0, 0, &[]),
+        http2_frame(1, 5, 1, &headers(0x82, "/")),
+        http2_frame(1, 4, 3, &headers(0x83, if stream_id == 3 { UPLOAD } else { "/" })),
+    ];
+    stream.write_all(&sound.concat()).unwrap();
+    // The last byte is 1, for a window that grows by no more; of what is padded the first says how much is padding.
+    let mut bytes: Vec<u8> = (0..payload).map(|at| u8::from(at + 1 == payload)).collect();
+    if flags == 8 {
+        bytes = [vec![(payload - 1) as u8], vec![0; payload - 1]].concat();
+    }
+    let frames = http2_frame(kind, flags, stream_id, &bytes).repeat(500);
+    // The first request is over by then.
+    std::thread::sleep(Duration::from_millis(50));
     let began = Instant::now();
     while began.elapsed() < Duration::from_secs(5) {
         if stream.write_all(&frames).is_err() {

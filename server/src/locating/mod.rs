@@ -208,7 +208,7 @@ pub struct Admitted {
 pub struct Locator {
     store: Arc<dyn MapStore>,
     config: LocatingConfig,
-    tiles: PreparedTiles,
+    tiles: Arc<PreparedTiles>,
     slots: ComputeSlots,
     checker: Mutex<Aligner>,
 }
@@ -217,7 +217,9 @@ impl Locator {
     /// A locator over a map.
     #[must_use]
     pub fn new(store: Arc<dyn MapStore>, config: LocatingConfig) -> Self {
-        let tiles = PreparedTiles::new(config.tile_cache_mib);
+        let tiles = Arc::new(PreparedTiles::new(config.tile_cache_mib));
+        let ahead = Arc::clone(&tiles);
+        store.before_serving(Box::new(move |upcoming| ahead.prepare_ahead(upcoming)));
         let slots = ComputeSlots::new(config.threads(), config.queue);
         Self { store, config, tiles, slots, checker: Mutex::default() }
     }

@@ -1,18 +1,20 @@
 //! Tiles as weights, cached while memory lasts.
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use echofix_core::align::weights::TileWeights;
 use echofix_core::geo::TileId;
 use echofix_core::tile::Tile;
 use echofix_core::window::MapSquare;
+use moka::policy::EvictionPolicy;
 use moka::sync::Cache;
 
-use crate::store::{Error, MapStore, TileInfo};
+use crate::store::{Error, MapStore, TileInfo, UpcomingMap};
 
 /// A tile as it was in certain versions of it and its eight neighbours, whose hits reach across its
 /// borders (0 where there is none): a change makes another key, and the old one is forgotten as the
@@ -46,9 +48,16 @@ pub(super) fn block(frame: MapSquare) -> (RangeInclusive<i32>, RangeInclusive<i3
     (x.0..=x.1, y.0..=y.1)
 }
 
+/// A tile for which somebody asked within this time is prepared again before its next version is served.
+const ASKED_WITHIN: Duration = Duration::from_mins(1);
+/// Tiles that are, at most: those asked for last. Some hundreds lie around ten vehicles.
+const PREPARED_AHEAD: u64 = 512;
+
 /// Prepared tiles by their versions.
 pub(super) struct PreparedTiles {
     tiles: Cache<PreparedKey, Arc<TileWeights>>,
+    /// Those that somebody asked for of late.
+    asked: Cache<TileId, ()>,
     hits: AtomicU64,
     misses: AtomicU64,
 }
@@ -69,8 +78,12 @@ impl PreparedTiles {
         let tiles = Cache::builder()
             .weigher(|_, tile: &Arc<TileWeights>| (tile.bytes() >> 10) as u32)
             .max_capacity(capacity_mib << 10)
+            // Old versions are asked for no more, however often they were.
+            .eviction_policy(EvictionPolicy::lru())
             .build();
-        Self { tiles, hits: AtomicU64::new(0), misses: AtomicU64::new(0) }
+        let asked = Cache::builder().max_capacity(PREPARED_AHEAD).eviction_policy(EvictionPolicy::lru());
+        let asked = asked.time_to_idle(ASKED_WITHIN).build();
+        Self { tiles, asked, hits: AtomicU64::new(0), misses: AtomicU64::new(0) }
     }
 
     pub(super) fn figures(&self) -> CacheFigures {
@@ -85,14 +98,15 @@ impl PreparedTiles {
     pub(super) fn get(&self, store: &dyn MapStore, frame: MapSquare) -> Result<PreparedWindow, Arc<Error>> {
         let epoch = store.progress().borrow().epoch;
         // Before the tiles are read: one of a later day is noticed.
-        let day = store.totals().newest_day;
+        let day = store.newest_day();
         let (x, y) = block(frame);
         let catalog = store.catalog(frame.zone, x.start() - 1..=x.end() + 1, y.start() - 1..=y.end() + 1)?;
         let mut found = PreparedWindow { tiles: Vec::new(), epoch, day, cached: true };
         let mut reading = Reading { store, known: HashMap::new(), is_late: false };
-        for id in frame.tiles().filter(|id| version(&catalog, *id) != 0) {
-            let key =
-                PreparedKey { id, day, versions: id.with_neighbours().map(|near| version(&catalog, near)) };
+        let versions = |id| version(&catalog, id);
+        for id in frame.tiles().filter(|id| versions(*id) != 0) {
+            let key = PreparedKey::of(id, day, versions);
+            self.asked.get_with(id, || ());
             let mut is_there = true;
             let tile = self.tiles.try_get_with_by_ref(&key, || {
                 is_there = false;
@@ -108,6 +122,40 @@ impl PreparedTiles {
             found.tiles.push(tile);
         }
         Ok(found)
+    }
+
+    /// Prepares what will be served, as far as it was asked for of late: nobody on the road waits for it then.
+    pub(super) fn prepare_ahead(&self, upcoming: &dyn UpcomingMap) {
+        let day = upcoming.newest_day();
+        let asked: BTreeSet<TileId> = self.asked.iter().map(|(id, ())| *id).collect();
+        let mut known = BTreeMap::new();
+        for id in asked.into_iter().take_while(|_| upcoming.goes_on()) {
+            let key = PreparedKey::of(id, day, |id| upcoming.version(id));
+            if upcoming.version(id) == 0 || self.tiles.contains_key(&key) {
+                continue;
+            }
+            // Row by row: what lies south of its neighbours is needed no more.
+            known.retain(|near: &TileId, _| near.zone == id.zone && near.y >= id.y - 1);
+            let near = id.with_neighbours();
+            let unknown: Vec<_> = near.into_iter().filter(|near| !known.contains_key(near)).collect();
+            let read = unknown.into_iter().map(|near| Ok((near, upcoming.tile(near)?)));
+            match read.collect::<Result<Vec<_>, Error>>() {
+                Ok(read) => known.extend(read),
+                Err(error) => {
+                    // Who asks for it is told.
+                    tracing::debug!(%error, "a tile could not be prepared");
+                    continue;
+                }
+            }
+            let weights = TileWeights::packed(id, |near| known.get(&near)?.as_deref());
+            self.tiles.insert(key, Arc::new(weights));
+        }
+    }
+}
+
+impl PreparedKey {
+    fn of(id: TileId, day: u16, version: impl Fn(TileId) -> u64) -> Self {
+        Self { id, day, versions: id.with_neighbours().map(version) }
     }
 }
 
@@ -159,14 +207,14 @@ mod tests {
 
     fn caught_up(store: &EmbeddedStore) {
         let progress = store.progress();
-        let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+        let deadline = std::time::Instant::now() + Duration::from_secs(20);
         let done = || {
             let now = *progress.borrow();
             now.state == MapStatus::Serving && now.epoch == now.journaled && now.building.is_none()
         };
         while !done() {
             assert!(std::time::Instant::now() < deadline);
-            std::thread::sleep(std::time::Duration::from_millis(1));
+            std::thread::sleep(Duration::from_millis(1));
         }
     }
 
@@ -213,5 +261,47 @@ mod tests {
         store.rollback(1).unwrap();
         caught_up(&store);
         assert_eq!(prepared(&cache, &store, id), fresh, "the later days are taken back");
+    }
+
+    /// Catches: a fix that waits until the tiles around it are prepared, because somebody uploaded there or a decision was taken;
+    /// and tiles prepared ahead that are others than those that are served.
+    #[test]
+    fn what_is_asked_for_is_prepared_before_it_is_served() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = opened(dir.path());
+        let cache = Arc::new(PreparedTiles::new(64));
+        let ahead = Arc::clone(&cache);
+        store.before_serving(Box::new(move |upcoming| ahead.prepare_ahead(upcoming)));
+        let uploads = some_uploads(3);
+        let ids: BTreeSet<TileId> =
+            uploads.iter().flat_map(|u| u.contribution.tiles.keys().copied()).collect();
+        store.commit(uploads[0].clone()).unwrap();
+        caught_up(&store);
+        let is_there = |id: &TileId| cache.get(&store, around(*id)).unwrap().cached;
+        let first: Vec<_> = ids.iter().map(is_there).collect();
+        assert!(first.contains(&false), "nobody asked for them before");
+        let asked = |id: &TileId| {
+            assert!(is_there(id), "{id} had to be prepared");
+            assert_eq!(prepared(&cache, &store, *id), prepared(&PreparedTiles::new(64), &store, *id));
+        };
+        for number in [1, 2] {
+            store.commit(uploads[number].clone()).unwrap();
+            caught_up(&store);
+            // Those of the uploads before were there to be asked for.
+            let before: BTreeSet<_> =
+                uploads[..number].iter().flat_map(|u| u.contribution.tiles.keys()).collect();
+            before.into_iter().for_each(asked);
+            for id in &ids {
+                let _ = is_there(id);
+            }
+        }
+        let mut later = uploads[0].clone();
+        (later.id, later.pass.day) = (Uuid::from_u128(77), later.pass.day + 200);
+        store.commit(later).unwrap();
+        caught_up(&store);
+        ids.iter().for_each(asked);
+        store.rollback(2).unwrap();
+        caught_up(&store);
+        ids.iter().for_each(asked);
     }
 }

@@ -17,6 +17,7 @@ use tower::{Layer, Service};
 
 use super::connections::{InUse, Origin};
 use super::ended;
+use super::grpc::STREAM_WINDOW;
 use crate::grpc::status;
 use crate::pace::{Pace, PacedBody, TooSlow};
 
@@ -84,7 +85,9 @@ where
         let pace = (!AT_LEISURE.contains(&path)).then_some(pace);
         let last_word = if path == WATCH { LAST_WORD } else { Duration::ZERO };
         let end = WITHOUT_END.contains(&path).then(|| ended_after(ending.clone(), last_word));
-        let mut request = request.map(|body| Body::new(PacedBody::new(body, pace, ending).told(too_slow)));
+        let mut request = request.map(|body| {
+            Body::new(PacedBody::new(body, pace, ending).within(STREAM_WINDOW as usize).told(too_slow))
+        });
         if let Some(connection) = connection {
             request.extensions_mut().insert(connection.used.peer());
             request.extensions_mut().insert(Arc::clone(connection.end()));

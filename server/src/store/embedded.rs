@@ -13,8 +13,8 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preview,
-    Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
+    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preparing,
+    Preview, Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
     UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::backend::Backend;
@@ -209,6 +209,14 @@ impl MapStore for EmbeddedStore {
         let needed = self.shared.settings.policy.publish_contributors;
         let totals = self.shared.served().map(|generation| generation.catalog().totals(uploads, needed));
         totals.unwrap_or(Totals { uploads, needed, ..Totals::default() })
+    }
+
+    fn newest_day(&self) -> u16 {
+        self.shared.served().map_or(0, |generation| generation.catalog().newest_day())
+    }
+
+    fn before_serving(&self, prepare: Preparing) {
+        self.shared.prepare_by(prepare);
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {

@@ -1,8 +1,10 @@
-//! Frames that carry no request: `PING`, `SETTINGS`, `PRIORITY`, `WINDOW_UPDATE`, empty `DATA`, and those nobody knows.
+//! Frames that carry no request: `PING`, `SETTINGS`, `PRIORITY`, `WINDOW_UPDATE`, `RST_STREAM`, `DATA` that is empty, tiny or
+//! mere padding, and those nobody knows.
 //!
-//! Each costs the sender nothing and the service an answer or a look. The HTTP/2 library takes them for ever, so they are
-//! counted here, in the bytes of the connection as they come in. What requests and answers need is granted on the way: for
-//! each request some, and some for what was sent, because who reads must say so.
+//! Each costs the sender nothing and the service an answer or a look. The HTTP/2 library takes them for ever (a reset of a stream
+//! that is over, too), so they are counted here, in the bytes of the connection as they come in. What requests and answers need
+//! is granted on the way: for each request some, for what it brings some, and some for what was sent, because who reads must say
+//! so.
 
 use std::time::Instant;
 
@@ -16,12 +18,16 @@ const PER_SECOND: f64 = 500.0;
 /// Frames granted for a request, and bytes sent for which one more is.
 const PER_REQUEST: f64 = 4.0;
 const BYTES_SENT: f64 = 2_048.0;
+/// `DATA` that brings less is counted, and bytes of it for which a frame is granted: some send the five bytes before a message
+/// in a frame of their own.
+const TINY: usize = 64;
+const BYTES_BROUGHT: f64 = 1_024.0;
 
 const DATA: u8 = 0;
 const HEADERS: u8 = 1;
-const RST_STREAM: u8 = 3;
 const CONTINUATION: u8 = 9;
 const END_STREAM: u8 = 1;
+const PADDED: u8 = 8;
 
 /// Counts the frames of one connection.
 #[derive(Debug)]
@@ -110,10 +116,13 @@ impl FrameCount {
         let length = u32::from_be_bytes([0, high, middle, low]) as usize;
         self.place = if length > 0 { Place::Payload(length) } else { Place::Header([0; HEADER], 0) };
         match kind {
-            DATA if length > 0 || flags & END_STREAM != 0 => {}
+            // What of it is padding is not known yet, and honest callers pad nothing.
+            DATA if length >= TINY && flags & PADDED == 0 => self.grant(length as f64 / BYTES_BROUGHT),
+            // The last of a request, which was granted more.
+            DATA if flags & END_STREAM != 0 => {}
             HEADERS => self.grant(PER_REQUEST),
-            // Both have bounds of their own in the library.
-            RST_STREAM | CONTINUATION => {}
+            // It has a bound of its own in the library.
+            CONTINUATION => {}
             _ => self.stock -= 1.0,
         }
     }
@@ -123,6 +132,8 @@ impl FrameCount {
 mod tests {
     use super::*;
     use std::time::Duration;
+
+    const RST_STREAM: u8 = 3;
 
     fn frame(kind: u8, payload: usize) -> Vec<u8> {
         let length = (payload as u32).to_be_bytes();
@@ -140,7 +151,8 @@ mod tests {
     /// Catches: a flood that is taken for ever, and one that is not seen because of how its bytes are cut.
     #[test]
     fn floods_of_frames_that_carry_nothing_end_the_connection() {
-        const KINDS: [(u8, usize); 6] = [(6, 8), (4, 0), (2, 5), (8, 4), (0xbb, 30), (0, 0)];
+        const KINDS: [(u8, usize); 8] =
+            [(6, 8), (4, 0), (2, 5), (8, 4), (RST_STREAM, 4), (0xbb, 30), (DATA, 0), (DATA, 5)];
         for (kind, payload) in KINDS {
             for piece in [1, 7, 9, 1_000, 1 << 20] {
                 assert!(taken(&frame(kind, payload), 900, piece), "{kind}");
@@ -154,7 +166,17 @@ mod tests {
         let request = [frame(HEADERS, 40), frame(DATA, 9_000), frame(8, 4), frame(8, 4)].concat();
         assert!(taken(&request, 5_000, 1_400));
         assert!(taken(&frame(DATA, 100), 50_000, 1 << 16));
-        assert!(taken(&frame(RST_STREAM, 4), 5_000, 1 << 16));
+        assert!(taken(&[frame(HEADERS, 40), frame(RST_STREAM, 4)].concat(), 5_000, 1 << 16));
+        // Some send the five bytes before a message in a frame of their own.
+        assert!(taken(&[frame(DATA, 5), frame(DATA, 4_000)].concat(), 5_000, 1 << 16));
+    }
+
+    /// Catches: padding that is taken for data.
+    #[test]
+    fn mere_padding_is_no_data() {
+        let mut padding = frame(DATA, 256);
+        (padding[4], padding[HEADER]) = (PADDED, 255);
+        assert!(!taken(&padding, 1_100, 1 << 16));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use echofix_core::geo::{TileId, Zone};
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::{Error, MapProgress, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};
+use super::{Error, MapProgress, Preparing, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};
 
 /// The map and its journal. Every call may block on the disk: keep it off the async threads.
 pub trait MapStore: Send + Sync {
@@ -68,6 +68,17 @@ pub trait MapStore: Send + Sync {
 
     /// The whole map in numbers.
     fn totals(&self) -> Totals;
+
+    /// Last UTC day anything was seen in the map, counted from the Unix epoch. Asked for with each fix: it waits for little.
+    fn newest_day(&self) -> u16 {
+        self.totals().newest_day
+    }
+
+    /// Lets somebody prepare for each state of the map before it is served, on the thread that folds. A map that does not change
+    /// asks nobody.
+    fn before_serving(&self, prepare: Preparing) {
+        drop(prepare);
+    }
 
     /// Follows how far the journal reaches and how far it is folded.
     fn progress(&self) -> watch::Receiver<MapProgress>;

@@ -8,6 +8,7 @@ mod map_store;
 mod operations;
 mod progress;
 mod reports;
+mod upcoming;
 mod values;
 
 pub use clock::StoreClock;
@@ -19,4 +20,5 @@ pub use map_store::MapStore;
 pub use operations::Operations;
 pub use progress::{Building, MapProgress, MapStatus};
 pub use reports::{FoldingFigures, Imported, QuarantinedRecord, Region, Verified};
+pub use upcoming::{Preparing, UpcomingMap};
 pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};

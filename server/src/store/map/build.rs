@@ -11,6 +11,7 @@
 //! A crash before step 4 leaves the old state and some files that the next start removes; one after it
 //! leaves only deletions to be done.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ use super::context::StoreContext;
 use super::fold::{CountedRecords, replay};
 use super::generation::Generation;
 use super::manifest::Manifest;
+use super::serving;
 use super::vetting::Vetting;
 use crate::store::api::{Building, Error, MapStatus};
 use crate::store::backend::tables::{TableId, TableUse};
@@ -71,6 +73,7 @@ fn publish_and_serve(
     let (journal, lineage, policy) = (shared.journal_id, shared.lineage, shared.settings.policy.digest());
     Manifest { journal, generation: fresh.number, applied, lineage, policy }
         .write(&*shared.backend.manifests)?;
+    serving::prepare(shared, &fresh, BTreeMap::new());
     let generation = Arc::new(fresh);
     let before = shared.serve(Some(generation.clone()));
     shared.progress.send_modify(|progress| {

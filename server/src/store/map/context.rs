@@ -1,7 +1,7 @@
 //! What the store and its folding thread share.
 
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
@@ -10,7 +10,9 @@ use uuid::Uuid;
 use super::checkpoint::Checkpoint;
 use super::generation::Generation;
 use super::policy::Policy;
-use crate::store::api::{Error, FoldingFigures, MapProgress, MapStatus, QuarantinedRecord, StoreClock};
+use crate::store::api::{
+    Error, FoldingFigures, MapProgress, MapStatus, Preparing, QuarantinedRecord, StoreClock,
+};
 use crate::store::backend::Backend;
 use crate::store::log::index::JournalIndex;
 use crate::store::log::journal::Journal;
@@ -79,6 +81,8 @@ pub(in crate::store) struct StoreContext {
     folding: Mutex<FoldingFigures>,
     /// What vetting keeps out of the served generation, as it comes.
     pub(in crate::store) kept_out: broadcast::Sender<QuarantinedRecord>,
+    /// Who prepares for what is served next.
+    preparing: OnceLock<Preparing>,
     /// Held while a control is decided on and written: each knows all before it.
     deciding: Mutex<()>,
     /// Declared last: given up when all else is closed.
@@ -109,6 +113,7 @@ impl StoreContext {
             beat: Heartbeat::default(),
             folding: Mutex::default(),
             kept_out: broadcast::Sender::new(TOLD),
+            preparing: OnceLock::new(),
             deciding: Mutex::default(),
             backend,
         }
@@ -154,6 +159,16 @@ impl StoreContext {
     pub(super) fn note_folded(&self, took: Duration, vetted: FoldingFigures) {
         let mut folding = self.folding.lock().unwrap_or_else(PoisonError::into_inner);
         *folding = FoldingFigures { spent: folding.spent + took, ..vetted };
+    }
+
+    /// Somebody prepares for what is served next, from now on. There is one such, the first.
+    pub(in crate::store) fn prepare_by(&self, prepare: Preparing) {
+        let _ = self.preparing.set(prepare);
+    }
+
+    /// Who prepares for what is served next.
+    pub(super) fn preparing(&self) -> Option<&Preparing> {
+        self.preparing.get()
     }
 
     /// The right to write a control.

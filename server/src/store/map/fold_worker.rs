@@ -9,6 +9,7 @@ use super::build::{self, Built};
 use super::context::StoreContext;
 use super::fold::{FoldedGroup, fold_group};
 use super::generation::Generation;
+use super::serving::Serving;
 use super::vetting::Vetting;
 use crate::lanes::{BACKGROUND, lower};
 use crate::store::api::{Error, MapStatus};
@@ -169,5 +170,5 @@ fn fold(
     vetting: &mut Vetting,
 ) -> Result<FoldedGroup, Error> {
     let (journal, go_on) = ((&shared.journal, shared.settings.write_buffer_tiles), || !shared.index.ended());
-    fold_group(journal, &mut &*on, group, newest, (vetting, &go_on))
+    fold_group(journal, &mut Serving { shared, on }, group, newest, (vetting, &go_on))
 }

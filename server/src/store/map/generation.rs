@@ -100,7 +100,8 @@ impl Generation {
         self.put_values(values, quarantined, folded)
     }
 
-    fn put_values(
+    /// The same, in the bytes they are stored in.
+    pub(super) fn put_values(
         &self,
         values: Vec<TileValue>,
         quarantined: &[QuarantinedRecord],

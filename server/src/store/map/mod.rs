@@ -5,7 +5,8 @@
 //! - [`generation`]: the map as folded under some controls; [`build`]: how a new one is made; [`manifest`]: which one is
 //!   served; [`checkpoint`] and [`stream`]: what stands for compacted records.
 //! - [`policy`]: which evidence counts, and what of it is published.
-//! - [`resume`]: what a start goes on with; [`context`] and [`fold_worker`]: the thread that folds; [`attempt`]: work that may fail or panic.
+//! - [`resume`]: what a start goes on with; [`context`] and [`fold_worker`]: the thread that folds; [`serving`]: what is served
+//!   is prepared for before; [`attempt`]: work that may fail or panic.
 
 pub(in crate::store) mod attempt;
 pub(in crate::store) mod build;
@@ -21,6 +22,7 @@ pub(in crate::store) mod pieces;
 pub(in crate::store) mod policy;
 mod quarantine;
 pub(in crate::store) mod resume;
+mod serving;
 pub(in crate::store) mod stream;
 pub(in crate::store) mod tiles;
 pub(in crate::store) mod vetting;

@@ -31,9 +31,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preview, Proposal,
-    QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord,
-    Verified, Withheld, io_error,
+    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preparing, Preview,
+    Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
+    UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::embedded::EmbeddedStore;
 use crate::store::local;
@@ -198,6 +198,14 @@ impl MapStore for ReplicatedStore {
 
     fn totals(&self) -> Totals {
         self.copy.totals()
+    }
+
+    fn newest_day(&self) -> u16 {
+        self.copy.newest_day()
+    }
+
+    fn before_serving(&self, prepare: Preparing) {
+        self.copy.before_serving(prepare);
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {
