@@ -10,7 +10,8 @@ use std::process::Command;
 use std::{env, fmt, fs, io};
 
 /// What the bundle depends on, under `console/`.
-const SOURCES: [&str; 5] = ["package.json", "package-lock.json", "build.mjs", "index.html", "src"];
+const SOURCES: [&str; 6] =
+    ["package.json", "package-lock.json", "build.mjs", "index.html", "pmtiles-licence.txt", "src"];
 
 /// Why the console cannot be built. The words are all that there is to know: cargo prints them.
 #[derive(Debug)]

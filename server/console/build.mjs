@@ -1,6 +1,7 @@
 // Bundles the console into dist/: index.html and assets/ with hashed names, each text with a .gz twin.
 
-import { copyFile, mkdir, readFile, readdir, rm, writeFile } from 'node:fs/promises';
+import { createHash } from 'node:crypto';
+import { mkdir, readFile, readdir, rm, writeFile } from 'node:fs/promises';
 import { basename } from 'node:path';
 import { gzipSync } from 'node:zlib';
 import { build } from 'esbuild';
@@ -36,11 +37,17 @@ const page = await bundle({
   define: { WORKER_URL: JSON.stringify(`assets/${outputOf(worker, '.js')}`) },
 });
 
-// The map library's licence asks to be handed on.
-const library = 'node_modules/maplibre-gl';
-const { version } = JSON.parse(await readFile(`${library}/package.json`, 'utf8'));
-const licence = `assets/maplibre-gl-${version}-licence.txt`;
-await copyFile(`${library}/LICENSE.txt`, `${DIST}/${licence}`);
+// The libraries' licences ask to be handed on. PMTiles has its own in its README only.
+const BSD_3 = await readFile('pmtiles-licence.txt', 'utf8');
+const libraries = [['maplibre-gl', 'LICENSE.txt'], ['pmtiles'], ['fflate', 'LICENSE']];
+const written = libraries.map(async ([name, file]) => {
+  const { version } = JSON.parse(await readFile(`node_modules/${name}/package.json`, 'utf8'));
+  const text = file ? await readFile(`node_modules/${name}/${file}`, 'utf8') : BSD_3;
+  return `${name} ${version}\n\n${text.trim()}\n`;
+});
+const licences = (await Promise.all(written)).join('\n\n');
+const licence = `assets/licences-${createHash('sha256').update(licences).digest('hex').slice(0, 8)}.txt`;
+await writeFile(`${DIST}/${licence}`, licences);
 
 const html = (await readFile('index.html', 'utf8'))
   .replace('{{script}}', `assets/${outputOf(page, '.js')}`)

@@ -1,6 +1,6 @@
 // A picture of the running console, taken with a plain Chromium:
 //
-//   node screenshot.mjs http://127.0.0.1:8080/ console.png [--size=1600x1000] [--wait=6000] [--script='...']
+//   node screenshot.mjs http://127.0.0.1:8080/ console.png [--size=1600x1000] [--scheme=dark] [--wait=6000] [--script='...']
 //
 // `--wait` is the time for tiles and events to come, in milliseconds; `--script` runs in the page before it,
 // for instance `document.querySelector("[value=age]").click()`. CHROMIUM names the binary, `chromium` by default.
@@ -16,6 +16,7 @@ const { values, positionals: [url, out] } = parseArgs({
   allowPositionals: true,
   options: {
     size: { type: 'string', default: '1600x1000' },
+    scheme: { type: 'string', default: 'light' },
     wait: { type: 'string', default: '6000' },
     script: { type: 'string' },
   },
@@ -63,6 +64,7 @@ try {
   await page('Runtime.enable');
   await page('Log.enable');
   await page('Emulation.setDeviceMetricsOverride', { width, height, deviceScaleFactor: 1, mobile: false });
+  await page('Emulation.setEmulatedMedia', { features: [{ name: 'prefers-color-scheme', value: values.scheme }] });
   await page('Page.navigate', { url });
   await sleep(Number(values.wait) / 2);
   if (values.script) await page('Runtime.evaluate', { expression: values.script, awaitPromise: true });

@@ -14,6 +14,7 @@
 //! - [`tiles`]: the map as a caller gets it.
 //! - [`wiretap`]: a way to the service that counts the bytes on it.
 //! - [`asking`]: a drive asks where it is; errors against the truth, percentiles.
+//! - [`base_map`]: maps of streets to lie below the radar map.
 //! - [`world`]: a town that is mapped, and the service that holds its map.
 //!
 //! Nothing sleeps to let something happen: [`until`] polls with a deadline. All randomness comes
@@ -22,6 +23,7 @@
 #![expect(clippy::missing_panics_doc, reason = "a harness panics: that is how a test fails")]
 
 pub mod asking;
+pub mod base_map;
 pub mod binary;
 pub mod command;
 pub mod crowd;

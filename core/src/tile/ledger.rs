@@ -1,6 +1,6 @@
 //! Who voted for which cell and had what in view, while it matters.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::CELLS;
 use super::votes::EncodedVotes;
@@ -100,6 +100,14 @@ impl Ledger {
     /// The passes, in order.
     pub fn passes(&self) -> impl Iterator<Item = Pass> {
         self.passes.keys().copied()
+    }
+
+    /// The contributors whose open passes hit a cell, in order of their hashes.
+    #[must_use]
+    pub fn contributors_of(&self, cell: u32) -> Vec<u64> {
+        let hit = |votes: &EncodedVotes| votes.votes().cells.binary_search(&cell).is_ok();
+        let who = self.iter().filter(|(_, votes)| hit(votes)).map(|(pass, _)| pass.contributor);
+        who.collect::<BTreeSet<_>>().into_iter().collect()
     }
 
     /// Passes and what they said, in order.
@@ -215,6 +223,19 @@ mod tests {
         assert_eq!((new_cells(&later), later.supported), (vec![(true, false)], vec![]), "closed by this one");
         let last = record(95, 2, &[0]);
         assert_eq!((new_cells(&last), last.supported), (vec![(true, true)], vec![0]), "closed long ago");
+    }
+
+    /// Catches: a contributor that is named twice, or where it hit nothing.
+    #[test]
+    fn who_hit_a_cell_is_known_while_the_passes_are_open() {
+        let mut ledger = Ledger::default();
+        for (day, contributor, cells) in [(10, 7, 0..3), (11, 7, 2..4), (11, 5, 2..3)] {
+            ledger.record(Pass { day, contributor }, &evidence(cells));
+        }
+        assert_eq!(
+            [0, 2, 3, 4].map(|cell| ledger.contributors_of(cell)),
+            [vec![7], vec![5, 7], vec![7], vec![]]
+        );
     }
 
     #[test]

@@ -11,12 +11,14 @@ mod layer;
 mod ledger;
 mod merge;
 mod published;
+mod standing;
 mod votes;
 
 pub use codec::{DecodeError, decode, decode_ledger, encode, encode_ledger};
 pub use layer::{Grain, decode_layer, encode_layer};
 pub use ledger::Ledger;
 pub use published::Decay;
+pub use standing::Standing;
 
 use crate::datum::Datum;
 use crate::evidence::{Cell, SUPPORT_BLOCKS, VIEW_BLOCKS, support_block, view_block};

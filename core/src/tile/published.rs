@@ -22,7 +22,7 @@ impl Default for Decay {
 
 impl Decay {
     /// The cell as it is worth on a day; `None` once it has expired.
-    fn applied(&self, cell: Cell, today: u16) -> Option<Cell> {
+    pub(super) fn applied(&self, cell: Cell, today: u16) -> Option<Cell> {
         let age_days = today.saturating_sub(cell.last_day);
         let left = (-f64::from(age_days) / self.half_life_days).exp2();
         let presence = (f64::from(cell.presence) * left).round() as u16;
@@ -32,9 +32,9 @@ impl Decay {
 
 /// Passes with a block in view, from which on a cell there must have been hit by two, and not by one where others hit
 /// something beside it: what stands has been hit again by then, and strangers' clutter lies beside everything.
-const WELL_SEEN: u16 = 6;
+pub(super) const WELL_SEEN: u16 = 6;
 /// Distinct contributors that must have hit a cell of a block that is [well seen](WELL_SEEN).
-const WELL_SEEN_CONTRIBUTORS: u8 = 2;
+pub(super) const WELL_SEEN_CONTRIBUTORS: u8 = 2;
 
 impl Tile {
     /// Cells that enough contributors vouch for: at least `min_contributors` distinct ones have hit something in

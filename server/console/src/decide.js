@@ -48,4 +48,4 @@ function tell(change) {
 
 /** A button that begins a decision. */
 export const deciding = (text, label, onclick) =>
-  el('button', { type: 'button', className: 'act', textContent: text, ariaLabel: label, onclick });
+  el('button', { type: 'button', className: 'act deciding', textContent: text, ariaLabel: label, onclick });

@@ -109,6 +109,28 @@ export function tileDetails(tile) {
   );
 }
 
+/** What there is to know about a cell of it: `cell` as the service tells it. */
+export function cellDetails({ cell, needed, distance_m }) {
+  const row = (term, value) => el('div', {}, el('dt', { textContent: term }), el('dd', { textContent: value }));
+  const served = cell.standing === 'SERVED';
+  const dates = cell.first_date === cell.last_date ? cell.first_date : `${cell.first_date} to ${cell.last_date}`;
+  const hashes = cell.contributor_hashes ?? [];
+  return el(
+    'section', { className: 'cell', ariaLabel: 'Cell' },
+    el('h4', { textContent: `Cell ${cell.column}, ${cell.row}` }, el('small', { textContent: ` ${figure(distance_m)} m away` })),
+    el('p', { className: served ? 'served' : 'withheld', textContent: `${served ? 'Served' : 'Not served'}: ${cell.reason}` }),
+    el(
+      'dl', {},
+      row('hits', String(cell.hits)),
+      row('passes', `${cell.passes} of ${cell.observed} in view`),
+      row('presence', percent(cell.presence)),
+      row('seen', dates),
+      row('contributors', `${cell.contributors}, ${cell.support} within 0.4 m, ${needed} needed`),
+    ),
+    hashes.length ? el('ul', { className: 'hashes', ariaLabel: 'Contributors lately' }, ...hashes.map((textContent) => el('li', { textContent }))) : null,
+  );
+}
+
 /** Outlines a tile. */
 export function outline(map, tile) {
   const coordinates = tile ? [...tile.corners, tile.corners[0]] : [];

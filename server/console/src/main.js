@@ -4,16 +4,19 @@ import { Popup } from 'maplibre-gl';
 import 'maplibre-gl/dist/maplibre-gl.css';
 import './console.css';
 import { byId, calm, el, gathered } from './dom.js';
-import { addFixes, drawFixes, fixDetails, outline, tileDetails } from './fixes.js';
+import { addBase } from './base.js';
+import { contributorsPanel } from './contributors.js';
+import { addFixes, cellDetails, drawFixes, fixDetails, outline, tileDetails } from './fixes.js';
 import { decide } from './decide.js';
 import { showHistory } from './history.js';
+import { words } from './format.js';
 import { LAYERS, addRadar, createMap, forgetBadView, frame, refresh, showEpoch, showLayer } from './map.js';
 import { showAges, showFixes, showHealth, showProgress, showRates, showStale, showStream, showTotals, showUploads } from './panel.js';
 import { addDifference, drawDifference, timeControls } from './past.js';
 import { addQuarantine, drawQuarantine, showQuarantine } from './quarantine.js';
-import { meant } from './search.js';
+import { meant, meantFix } from './search.js';
 import { ask, follow } from './service.js';
-import { addSignIn } from './signin.js';
+import { addSignIn, operates } from './signin.js';
 import { tabs } from './tabs.js';
 
 const KEPT = 500;
@@ -21,6 +24,8 @@ forgetBadView();
 // Asked before the map begins to write its view there.
 const framed = location.hash.includes('view=');
 const map = createMap();
+/** Resolves once it is known who looks. */
+const known = addSignIn();
 const state = {
   fixes: [], uploads: [], kept: [], quarantine: { quarantined: 0, uploads: [], alarms: [] }, history: { events: [] },
   told: undefined, layer: 'evidence', epoch: undefined, seen: undefined, framed, filter: '', whole: undefined,
@@ -60,9 +65,10 @@ async function loadMap() {
 }
 
 async function loadFeeds() {
+  await known;
   // Fixes tell where somebody is: not all who may look at the map are told of them.
-  const untold = (error) => (error.status === 403 ? { fixes: [] } : Promise.reject(error));
-  const [{ fixes }, { uploads }] = await Promise.all([ask(`api/v1/fixes?limit=${KEPT}`).catch(untold), ask('api/v1/uploads?limit=50')]);
+  const told = operates() ? ask(`api/v1/fixes?limit=${KEPT}`) : { fixes: [] };
+  const [{ fixes }, { uploads }] = await Promise.all([told, ask('api/v1/uploads?limit=50')]);
   Object.assign(state, { fixes, uploads: uploads.map(marked) });
   redraw();
 }
@@ -91,8 +97,11 @@ async function decided(title, route, body) {
   } catch (error) {
     say(error.message);
   }
-  await loadDecisions();
+  await Promise.all([loadDecisions(), loadContributors()]);
 }
+
+/** Only where somebody looks at them. */
+const loadContributors = async () => byId('p-contributors').hidden || contributors.load();
 
 const revoke = (body, title) => quietly(() => decided(title, 'revoke', body))();
 const rollback = (event) => quietly(() => decided(`Roll the map back to epoch ${event.last}?`, 'rollback', { epoch: event.last }))();
@@ -114,11 +123,21 @@ const time = timeControls(
 
 const look = (epoch) => time.to(epoch);
 
+const contributors = contributorsPanel({
+  find: (of) => quietly(findId)(of.upload_id),
+  revoke: (body, title) => revoke(body, title),
+  undo: (event) => undo(event),
+  failed: (error) => say(error.message),
+});
+
 // The search.
 
-function say(text) {
-  byId('found').hidden = !text;
+/** `act` is what can be done about it: words, and a function. */
+function say(text, [label, act] = []) {
   byId('found').textContent = text ?? '';
+  byId('found-act').hidden = !act;
+  byId('found-act').textContent = label ?? '';
+  byId('found-act').onclick = act ?? null;
 }
 
 function goTo({ place }) {
@@ -136,18 +155,33 @@ async function find(text) {
     const tile = await ask(`api/v1/tiles/${sought.tile}${epochQuery()}`);
     map.fitBounds([tile.corners[0], tile.corners[2]], { maxZoom: 19, animate: false });
     showTile(tile.corners[2], tile);
+  } else if (sought.fix !== undefined) {
+    const fix = meantFix(state.fixes, sought.fix);
+    if (fix) choose(fix);
+    else say(state.fixes.length ? 'No such fix is among the last ones.' : 'No fixes are known here.');
   } else {
-    findId(sought.id);
+    await findId(sought.id);
   }
 }
 
-function findId(id) {
+const CONTRIBUTOR = /^[0-9a-f]{16}$/;
+const UPLOAD = /^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$/;
+
+async function findId(id) {
+  if (operates() && CONTRIBUTOR.test(id)) {
+    await contributors.open(id);
+    return openPart('contributors');
+  }
   const kept = state.quarantine.uploads.find(({ upload_id, contributor }) => [upload_id, contributor].includes(id));
   const upload = state.uploads.find(({ upload_id }) => upload_id === id);
   if (kept) {
     openPart('quarantine');
     goTo(kept);
     return say(`In quarantine: ${kept.reason.toLowerCase()}, epoch ${kept.epoch}.`);
+  }
+  if (operates() && UPLOAD.test(id)) {
+    const known = await ask(`api/v1/uploads/${id}`).catch((error) => (error.status === 404 ? undefined : Promise.reject(error)));
+    if (known) return tellUpload(known);
   }
   const event = state.history.events.find(({ of, first, last }) => of === id || (upload?.epoch && upload.epoch >= first && upload.epoch <= last));
   if (upload) return say(`Upload ${id}: ${upload.outcome.toLowerCase().replaceAll('_', ' ')}, epoch ${upload.epoch}.`);
@@ -156,6 +190,20 @@ function findId(id) {
     return say(`Decided about in epoch ${event.last}.`);
   }
   say('Nothing of this name is among the last uploads, in quarantine or in the history.');
+}
+
+/** What became of an upload; where it lies on the map, the difference that it made shows. */
+function tellUpload({ upload_id, outcome, epoch, date, contributor }) {
+  const of = `Upload ${upload_id}${contributor ? ` of contributor ${contributor}` : ''}: ${words(outcome)}, ${date}, epoch ${epoch}.`;
+  const made = async () => {
+    const change = await ask(`api/v1/map/diff?from=${epoch - 1}&to=${epoch}`);
+    drawDifference(map, change);
+    if (!change.tiles.length) return say(`${of} It changed nothing.`);
+    const corners = change.tiles.flatMap((tile) => tile.corners ?? []);
+    const [lons, lats] = [0, 1].map((axis) => corners.map((corner) => corner[axis]));
+    frame(map, { bounds: [Math.min(...lons), Math.min(...lats), Math.max(...lons), Math.max(...lats)], center: corners[0] });
+  };
+  say(of, outcome === 'QUARANTINED' ? [] : ['Show what it changed', quietly(made)]);
 }
 
 const epochQuery = (before = '?') => (state.epoch === undefined ? '' : `${before}epoch=${state.epoch}`);
@@ -177,19 +225,24 @@ const redraw = gathered(() => {
   grow();
 }, 120);
 const newMap = gathered(quietly(async () => {
-  await Promise.all([loadMap(), loadDecisions()]);
+  await Promise.all([loadMap(), loadDecisions(), loadContributors()]);
   refresh(map, state.layer);
 }), 1000);
 
 const decisionsChanged = gathered(quietly(loadDecisions), 1000);
 
-// What is clicked: a fix, or a tile.
+// What is clicked: a fix, or a tile and its cell.
 
 let popup;
 function open(at, content) {
   popup?.remove();
+  const before = document.activeElement;
   popup = new Popup({ maxWidth: '320px', offset: 14 }).setLngLat(at).setDOMContent(content).addTo(map);
-  popup.on('close', () => outline(map, undefined));
+  popup.on('close', () => {
+    outline(map, undefined);
+    // The keyboard goes back to where it came from.
+    if (document.activeElement === document.body && before?.isConnected) before.focus();
+  });
 }
 
 function choose(fix) {
@@ -201,11 +254,13 @@ function choose(fix) {
 /** An upload of the feed: what is in quarantine lies somewhere. */
 function openUpload(upload) {
   byId('sought').value = upload.upload_id;
-  findId(upload.upload_id);
+  quietly(findId)(upload.upload_id);
 }
 
-function showTile(at, tile) {
-  open(at, tileDetails(tile));
+function showTile(at, tile, found) {
+  const details = tileDetails(tile);
+  if (found?.cell) details.append(cellDetails(found));
+  open(at, details);
   outline(map, tile);
 }
 
@@ -225,17 +280,41 @@ async function chooseAt({ point, lngLat }) {
     const fix = state.fixes[hit.properties.index];
     return open([fix.longitude_deg, fix.latitude_deg], fixDetails(fix));
   }
+  await inspect(lngLat);
+}
+
+/** The tile at a position, and the cell that was hit there or within a few pixels. */
+async function inspect(lngLat) {
+  const here = `lat=${lngLat.lat.toFixed(7)}&lon=${wrapped(lngLat.lng).toFixed(7)}`;
+  const none = (error) => (error.status === 404 ? undefined : Promise.reject(error));
   try {
-    const tile = await ask(`api/v1/tiles/at?lat=${lngLat.lat.toFixed(7)}&lon=${wrapped(lngLat.lng).toFixed(7)}${epochQuery('&')}`);
-    showTile(lngLat, tile);
+    const [tile, found] = await Promise.all([
+      ask(`api/v1/tiles/at?${here}${epochQuery('&')}`).catch(none),
+      ask(`api/v1/cells/at?${here}&within_m=${withinPixels(lngLat.lat).toFixed(2)}${epochQuery('&')}`).catch(none),
+    ]);
+    if (tile) showTile(lngLat, tile, found);
+    else if (found) open(lngLat, waitingDetails(found));
+    else popup?.remove();
   } catch (error) {
     popup?.remove();
-    if (error.status !== 404) console.warn(error.message);
+    console.warn(error.message);
   }
 }
 
+/** A tile of which nothing is served yet: operators are told of it. */
+const waitingDetails = (found) =>
+  el('article', { className: 'details' },
+    el('h3', { textContent: `Tile ${found.tile}` }),
+    el('p', { textContent: 'Nothing of it is served yet.' }),
+    found.cell ? cellDetails(found) : null);
+
+/** Six pixels of the map in metres, as far as the service seeks a cell. */
+const withinPixels = (lat) => Math.min(5, (6 * 40_075_017 * Math.cos((lat * Math.PI) / 180)) / (512 * 2 ** map.getZoom()));
+
 /** A longitude of whichever copy of the world, from -180 to 180. */
 const wrapped = (lng) => ((((lng + 180) % 360) + 360) % 360) - 180;
+
+document.addEventListener('keydown', ({ key }) => key === 'Escape' && !document.querySelector('dialog[open]') && popup?.remove());
 
 // What happens.
 
@@ -245,9 +324,12 @@ map.once('load', () => {
   addDifference(map);
   addQuarantine(map);
   showLayer(map, state.layer);
+  quietly(addBase)(map, LAYERS[0]);
   drawQuarantine(map, state.quarantine);
   document.body.dataset.ready = 'true';
   map.on('click', chooseAt);
+  // By the keyboard: what lies in the middle of the map.
+  map.getCanvas().addEventListener('keydown', ({ key }) => key === 'Enter' && quietly(inspect)(map.getCenter()));
   map.on('mouseenter', 'fix', () => (map.getCanvas().style.cursor = 'pointer'));
   map.on('mouseleave', 'fix', () => (map.getCanvas().style.cursor = ''));
   redraw();
@@ -307,7 +389,6 @@ byId('fold').addEventListener('click', ({ currentTarget }) => {
   const folded = byId('panel').classList.toggle('folded');
   currentTarget.setAttribute('aria-expanded', String(!folded));
 });
-addSignIn();
 byId('filter').addEventListener('change', ({ currentTarget }) => {
   state.filter = currentTarget.value;
   showUploads(state.uploads, state.filter, openUpload);
@@ -317,6 +398,6 @@ byId('search').addEventListener('submit', (event) => {
   quietly(() => find(byId('sought').value))();
 });
 byId('fit').addEventListener('click', () => state.whole && frame(map, state.whole));
-const openPart = tabs((part) => part !== 'now' && quietly(loadDecisions)());
+const openPart = tabs((part) => quietly({ contributors: loadContributors }[part] ?? loadDecisions)());
 const asked = new URLSearchParams(location.hash.slice(1)).get('layer');
 quietly(() => chooseLayer(LAYERS.includes(asked) ? asked : 'evidence'))();

@@ -1,4 +1,4 @@
-// The map: radar layers on a dark ground, no other tiles.
+// The map: radar layers on a dark ground.
 
 import { AttributionControl, Map, NavigationControl, ScaleControl, setWorkerUrl } from 'maplibre-gl';
 import { byId, calm } from './dom.js';
@@ -6,7 +6,7 @@ import { position } from './format.js';
 import { addGraticule } from './graticule.js';
 
 /** Where the service is: a proxy may show it below a path. */
-const HERE = new URL('.', document.baseURI).href;
+export const HERE = new URL('.', document.baseURI).href;
 
 setWorkerUrl(HERE + WORKER_URL);
 
@@ -43,6 +43,8 @@ export function createMap() {
     touchPitch: false,
     pitchWithRotate: false,
     fadeDuration: 0,
+    // Services of tiles ask to be told by which page they are used; our own is told nothing.
+    transformRequest: (url) => (new URL(url, HERE).origin === location.origin ? { url } : { url, referrerPolicy: 'strict-origin-when-cross-origin' }),
   });
   map.touchZoomRotate.disableRotation();
   map.keyboard.disableRotation();

@@ -4,6 +4,9 @@
 let signIn;
 export const onSignIn = (show) => (signIn = show);
 
+/** How often a question is asked again that the service has no time for just now. */
+const RETRIES = 3;
+
 /** What the service takes with each change that a page makes in a session; nothing without one. */
 let csrf;
 export const inSession = (token) => (csrf = token);
@@ -13,6 +16,10 @@ export const changing = () => (csrf ? { 'x-echofix-csrf': csrf } : {});
 async function call(path, options = {}) {
   const asked = () => ({ ...options, headers: { accept: 'application/json', ...(options.method ? changing() : {}), ...options.headers } });
   let response = await fetch(path, asked());
+  for (let i = 0; response.status === 503 && !options.method && i < RETRIES; i += 1) {
+    await new Promise((done) => setTimeout(done, 1000 * (Number(response.headers.get('retry-after')) || 1)));
+    response = await fetch(path, asked());
+  }
   if (response.status === 401 && signIn) {
     await signIn(response);
     response = await fetch(path, asked());

@@ -5,7 +5,7 @@ import { changing, inSession, onSignIn } from './service.js';
 
 let asking;
 
-/** Asks for a token until the service takes one, or nobody wants to sign in. Requests at the same time ask once. */
+/** Asks for a token until the service takes one, and the page begins anew, or nobody wants to sign in. Requests at the same time ask once. */
 function signIn() {
   asking ??= ask().finally(() => (asking = undefined));
   return asking;
@@ -25,26 +25,41 @@ async function ask() {
     const answer = await fetch('session', {
       method: 'POST', headers: { 'content-type': 'application/json' }, body: JSON.stringify({ token: token.value }),
     });
-    if (answer.ok) return showWho();
+    // All that is shown depends on who looks.
+    if (answer.ok) {
+      location.reload();
+      return new Promise(() => {});
+    }
     const body = await answer.json().catch(() => undefined);
     note.textContent = body?.error?.message ?? `The service answered ${answer.status}.`;
   }
 }
 
-/** Shows who is signed in, where somebody is. */
+/** Shows who is signed in, where somebody is, and what it may do. */
 async function showWho() {
   const answer = await fetch('session').catch(() => undefined);
-  const { name, csrf } = answer?.ok ? await answer.json() : {};
+  const { name, csrf, roles = [], known_by } = answer?.ok ? await answer.json() : {};
   inSession(csrf);
-  byId('signout').hidden = !name;
-  byId('signout').textContent = `Sign out ${name ?? ''}`;
+  const stranger = known_by === 'anonymous';
+  byId('signout').hidden = !name && !stranger;
+  byId('signout').textContent = stranger ? 'Sign in' : `Sign out ${name ?? ''}`;
+  const operates = roles.some((role) => ['operator', 'admin'].includes(role));
+  // What viewers may not do is not offered; the service refuses it, too.
+  document.body.classList.toggle('looks', !operates);
+  byId('t-contributors').hidden = !operates;
+  byId('compare').closest('label').hidden = !operates;
 }
 
+/** Whether who is signed in decides, as far as is known. */
+export const operates = () => !document.body.classList.contains('looks');
+
 export function addSignIn() {
+  document.body.classList.add('looks');
   onSignIn(signIn);
-  byId('signout').addEventListener('click', async () => {
+  byId('signout').addEventListener('click', async ({ currentTarget }) => {
+    if (currentTarget.textContent === 'Sign in') return signIn();
     await fetch('session', { method: 'DELETE', headers: changing() });
-    location.reload();
+    return location.reload();
   });
-  showWho();
+  return showWho();
 }

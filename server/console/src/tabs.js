@@ -15,11 +15,16 @@ export function tabs(opened) {
     if (focus) chosen.focus();
     opened(chosen.dataset.part);
   };
-  for (const [i, tab] of all.entries()) {
+  for (const tab of all) {
     tab.addEventListener('click', () => choose(tab));
-    tab.addEventListener('keydown', ({ key }) => {
-      const to = { ArrowRight: i + 1, ArrowLeft: i - 1, Home: 0, End: all.length - 1 }[key];
-      if (to !== undefined) choose(all.at(to % all.length), true);
+    tab.addEventListener('keydown', (event) => {
+      const { key } = event;
+      const shown = all.filter(({ hidden }) => !hidden);
+      const at = shown.indexOf(tab);
+      const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: shown.length - 1 }[key];
+      if (to === undefined) return;
+      event.preventDefault();
+      choose(shown.at(to % shown.length), true);
     });
   }
   return (part) => choose(all.find((tab) => tab.dataset.part === part), true);

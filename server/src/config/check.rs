@@ -5,7 +5,7 @@ use tracing_subscriber::EnvFilter;
 use super::{AlarmsConfig, Config, Error, HttpConfig, LimitsConfig, StoreConfig};
 use crate::export::TraceConfig;
 use crate::grpc::INTEGRITY_RISKS;
-use crate::http::{is_base_path, is_origin};
+use crate::http::{is_base_map, is_base_path, is_origin};
 use crate::identity::{self, RatesConfig};
 use crate::listen::socket_mode;
 use crate::locating::LocatingConfig;
@@ -80,7 +80,7 @@ fn trace(config: &TraceConfig) -> Vec<Rule> {
 }
 
 fn ports(config: &Config) -> Vec<Rule> {
-    let (grpc, HttpConfig { listen, socket_mode: mode, hosts, base_path, cors_origins }) =
+    let (grpc, HttpConfig { listen, socket_mode: mode, hosts, base_path, cors_origins, .. }) =
         (&config.grpc, &config.http);
     let apart = listen.is_apart_from(&grpc.listen);
     let rights = "must be the rights on the socket's file in octal digits, as 0600 or 0660";
@@ -110,6 +110,13 @@ fn ports(config: &Config) -> Vec<Rule> {
             "must be origins as browsers write them, such as `https://maps.example` or `http://localhost:3000`: in small \
              letters, without a path, a slash at the end or the scheme's own port; or `*`",
         ),
+        (
+            "http.base_map",
+            is_base_map(&config.http.base_map),
+            "must be empty, a template such as `https://tiles.example/{z}/{x}/{y}.png`, or a PMTiles file (version 3) that the \
+             service can read",
+        ),
+        ("http.base_map_max_zoom", config.http.base_map_max_zoom <= 24, "must be at most 24"),
     ]
 }
 

@@ -131,6 +131,12 @@ pub struct HttpConfig {
     pub base_path: String,
     /// Other origins whose pages may ask, as `https://maps.example`; `*` for what viewers read.
     pub cors_origins: Vec<String>,
+    /// The map of streets that the console shows: none when empty, the template of tiles' addresses, or a `PMTiles` file.
+    pub base_map: String,
+    /// Whose map that is, as its licence asks.
+    pub base_map_attribution: String,
+    /// The last zoom that the tiles have.
+    pub base_map_max_zoom: u8,
 }
 
 /// When quarantined uploads make an alarm.

@@ -2,12 +2,15 @@
 //! stands in its place.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
-use axum::extract::{Extension, Path};
-use axum::http::{HeaderMap, header};
+use axum::extract::{Extension, Path, State};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 
+use super::App;
 use super::answers::ErrorAnswer;
+use super::base_map::BaseMap;
 use super::error::Error;
 use super::outside::Outside;
 
@@ -36,10 +39,17 @@ struct Asset {
     gzip: Option<&'static [u8]>,
 }
 
-/// Only our own scripts, styles and data; no frame may show the page.
-const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; worker-src 'self'; \
-    style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; font-src 'self'; manifest-src 'self'; \
-    base-uri 'self'; form-action 'none'; frame-ancestors 'none'";
+/// Only our own scripts, styles and data, and the base map's tiles; no frame may show the page.
+pub(super) fn policy(base_map: Option<&BaseMap>) -> HeaderValue {
+    let tiles = base_map.and_then(BaseMap::origin).map(|origin| format!(" {origin}")).unwrap_or_default();
+    let policy = format!(
+        "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; img-src 'self' data: blob:{tiles}; \
+         connect-src 'self'{tiles}; font-src 'self'; manifest-src 'self'; base-uri 'self'; form-action 'none'; \
+         frame-ancestors 'none'"
+    );
+    // An origin is made of what a header may hold; without a policy nothing is loaded.
+    HeaderValue::from_str(&policy).unwrap_or(HeaderValue::from_static("default-src 'none'"))
+}
 
 /// `GET /`. All that the page names is relative to it; where it is known under which path a proxy shows it, that is said, too:
 /// the browser may have asked for it without the slash at the end.
@@ -54,11 +64,15 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; wo
         (status = 200, description = "The page.", body = String, content_type = "text/html"),
     )
 )]
-pub async fn page(Extension(outside): Extension<Outside>, headers: HeaderMap) -> Result<Response, Error> {
+pub async fn page(
+    State(app): State<Arc<App>>,
+    Extension(outside): Extension<Outside>,
+    headers: HeaderMap,
+) -> Result<Response, Error> {
     if outside.prefix.is_empty() {
-        return serve("index.html", "no-cache", &headers);
+        return serve(&app, "index.html", "no-cache", &headers);
     }
-    let mut response = serve("index.html", "no-cache", &HeaderMap::new())?;
+    let mut response = serve(&app, "index.html", "no-cache", &HeaderMap::new())?;
     // A prefix is made of letters, digits and `/-_.~`: none ends the attribute.
     let based = format!("<meta charset=\"utf-8\">\n<base href=\"{}/\">", outside.prefix);
     *response.body_mut() = plain("index.html")?.replacen("<meta charset=\"utf-8\">", &based, 1).into();
@@ -79,8 +93,12 @@ pub async fn page(Extension(outside): Extension<Outside>, headers: HeaderMap) ->
         (status = 404, description = "No such file.", body = ErrorAnswer),
     )
 )]
-pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Error> {
-    serve(&format!("assets/{name}"), "public, max-age=31536000, immutable", &headers)
+pub async fn asset(
+    State(app): State<Arc<App>>,
+    Path(name): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Error> {
+    serve(&app, &format!("assets/{name}"), "public, max-age=31536000, immutable", &headers)
 }
 
 /// The text of a file.
@@ -93,14 +111,15 @@ fn asset_of(name: &str) -> Result<&'static Asset, Error> {
     ASSETS.iter().find(|asset| asset.name == name).ok_or_else(missing)
 }
 
-fn serve(name: &str, caching: &'static str, headers: &HeaderMap) -> Result<Response, Error> {
+fn serve(app: &App, name: &str, caching: &'static str, headers: &HeaderMap) -> Result<Response, Error> {
     let asset = asset_of(name)?;
+    let fixed = HeaderValue::from_static;
     let common = [
-        (header::CONTENT_TYPE, content_type(name)),
-        (header::CACHE_CONTROL, caching),
-        (header::VARY, "accept-encoding"),
-        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
-        (header::X_FRAME_OPTIONS, "DENY"),
+        (header::CONTENT_TYPE, fixed(content_type(name))),
+        (header::CACHE_CONTROL, fixed(caching)),
+        (header::VARY, fixed("accept-encoding")),
+        (header::CONTENT_SECURITY_POLICY, app.page_policy.clone()),
+        (header::X_FRAME_OPTIONS, fixed("DENY")),
     ];
     Ok(match asset.gzip.filter(|_| accepts_gzip(headers)) {
         Some(gzip) => (common, [(header::CONTENT_ENCODING, "gzip")], gzip).into_response(),

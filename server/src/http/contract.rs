@@ -15,8 +15,9 @@ use tokio_stream::StreamExt;
 
 use super::contributor::hash_word;
 use super::openapi::DOCUMENT;
-use super::testing::{StoredSite, TestSite, a_fix, an_upload, austin, bytes_of, json_of};
-use crate::store::QuarantinedRecord;
+use super::testing::{StoredSite, TestSite, a_fix, an_upload, austin, bytes_of, json_of, uploads_of};
+use crate::identity::Gate;
+use crate::store::{Policy, QuarantinedRecord};
 
 /// Under which words a schema is made of others.
 const PARTS: [&str; 3] = ["allOf", "oneOf", "anyOf"];
@@ -66,6 +67,7 @@ async fn of_a_small_map(answers: &mut Answers) {
         ("GET /api/v1/uploads", "/api/v1/uploads"),
         ("GET /session", "/session"),
         ("GET /session/ways", "/session/ways"),
+        ("GET /base-map", "/base-map"),
     ] {
         answers.insert((operation, ""), json_of(site.get(path).await).await);
     }
@@ -104,6 +106,24 @@ async fn heard(events: Response, kinds: &[&'static str]) -> Vec<(&'static str, V
     }
 }
 
+/// Of a tile to the cell.
+async fn of_cells(answers: &mut Answers) {
+    let uploads = uploads_of(&[(7, &[5, 300]), (8, &[5])]);
+    let site = StoredSite::of(uploads, Policy::trusting(), Gate::open()).await;
+    let tile = format!("/api/v1/tiles/{}/cells", austin());
+    let whole = json_of(site.get(&tile).await).await;
+    let [lat, lon] = ["latitude_deg", "longitude_deg"].map(|axis| whole["cells"][0][axis].as_f64().unwrap());
+    let beside = lat + 1e-4;
+    for (operation, special, path) in [
+        ("GET /api/v1/tiles/{epsg}/{x}/{y}/cells", "a part", format!("{tile}?limit=1")),
+        ("GET /api/v1/cells/at", "", format!("/api/v1/cells/at?lat={lat}&lon={lon}")),
+        ("GET /api/v1/cells/at", "none", format!("/api/v1/cells/at?lat={beside}&lon={lon}")),
+    ] {
+        answers.insert((operation, special), json_of(site.get(&path).await).await);
+    }
+    answers.insert(("GET /api/v1/tiles/{epsg}/{x}/{y}/cells", ""), whole);
+}
+
 /// Of a map on disk, and of what is decided about it.
 async fn of_decisions(answers: &mut Answers) {
     let (site, other) = (StoredSite::with_uploads(6).await, StoredSite::with_uploads(2).await);
@@ -130,8 +150,14 @@ async fn of_decisions(answers: &mut Answers) {
     let undone = site.post("/api/v1/map/undo", &json!({ "decision": decision })).await;
     answers.insert(("POST /api/v1/map/undo", ""), json_of(undone).await);
     site.caught_up().await;
+    let hash = hash_word(site.uploads[2].pass.contributor);
+    let uploads = format!("/api/v1/contributors/{hash}/uploads?limit=1");
+    let alone = format!("/api/v1/uploads/{upload}");
     for (operation, path) in [
         ("GET /api/v1/map/history", "/api/v1/map/history"),
+        ("GET /api/v1/contributors", "/api/v1/contributors?only=revoked"),
+        ("GET /api/v1/contributors/{hash}/uploads", &uploads),
+        ("GET /api/v1/uploads/{id}", &alone),
         ("GET /api/v1/map/diff", "/api/v1/map/diff?from=6&to=8"),
         ("GET /api/v1/map/verify", "/api/v1/map/verify"),
     ] {
@@ -155,6 +181,7 @@ async fn of_decisions(answers: &mut Answers) {
 async fn answers() -> Answers {
     let mut answers = Answers::new();
     of_a_small_map(&mut answers).await;
+    of_cells(&mut answers).await;
     of_decisions(&mut answers).await;
     answers
 }

@@ -39,6 +39,12 @@ pub enum Error {
          of this port or the command `echofix map`"
     )]
     WrongOrigin,
+    /// A part of a file is asked for that the file does not have.
+    #[error("the file has {size} bytes")]
+    BehindTheEnd {
+        /// Its size, bytes.
+        size: u64,
+    },
     /// Who asks is not known, or may not.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -99,6 +105,7 @@ impl Error {
             Self::MethodNotAllowed | Self::PostOnly(_) | Self::Refused(Refusal::NotServed) => {
                 StatusCode::METHOD_NOT_ALLOWED
             }
+            Self::BehindTheEnd { .. } => StatusCode::RANGE_NOT_SATISFIABLE,
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
             Self::Issuer(_) => StatusCode::BAD_GATEWAY,
             Self::WrongOrigin | Self::Refused(Refusal::Forbidden { .. } | Refusal::Forged) => {
@@ -128,6 +135,7 @@ impl Error {
             Self::MethodNotAllowed | Self::PostOnly(_) | Self::Refused(Refusal::NotServed) => {
                 "method_not_allowed"
             }
+            Self::BehindTheEnd { .. } => "behind_the_end",
             Self::WrongHost => "wrong_host",
             Self::WrongOrigin => "wrong_origin",
             Self::Refused(Refusal::Unauthenticated(_)) => "unauthenticated",
@@ -176,6 +184,11 @@ impl IntoResponse for Error {
         if status == StatusCode::UNAUTHORIZED {
             let challenge = HeaderValue::from_static("Bearer realm=\"echofix\"");
             headers.insert(header::WWW_AUTHENTICATE, challenge);
+        }
+        if let Self::BehindTheEnd { size } = self
+            && let Ok(whole) = HeaderValue::from_str(&format!("bytes */{size}"))
+        {
+            headers.insert(header::CONTENT_RANGE, whole);
         }
         // Which methods a route has, the router says itself.
         if let Some(wait) = wait {

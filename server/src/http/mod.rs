@@ -11,11 +11,13 @@
 //! - `limits`: what one request or many may cost.
 //! - `probes`: alive, ready, counted.
 //! - `catalog`: the map in numbers, one tile in numbers.
+//! - `cells`: a tile to the cell, and why each is served or not.
 //! - `expectation`: what fixes in a tile can be expected to be.
 //! - `past`: the map as it was at an epoch.
 //! - `operations`: the map's history, and whether what is stored is sound.
 //! - `decisions`: what operators decide about it.
 //! - `quarantine`: what vetting kept out, and alarms.
+//! - `contributors`: who contributed, and what.
 //! - `files`: regions out and in, backups.
 //! - `region_days`: no region from the future comes in.
 //! - `live`: the last fixes and uploads, and the stream of new ones.
@@ -24,14 +26,18 @@
 //! - `raster`: how a map tile is drawn.
 //! - `openapi`: the description of all this.
 //! - `console`: the page an operator looks at.
+//! - `base_map`: the map of streets below its radar map, where one is configured.
 
 mod access;
 mod answers;
+mod base_map;
 mod catalog;
+mod cells;
 mod console;
 #[cfg(test)]
 mod contract;
 mod contributor;
+mod contributors;
 mod cors;
 mod day;
 mod decisions;
@@ -61,6 +67,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::Router;
+use axum::http::HeaderValue;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodRouter, get, post};
 use echofix_core::vetting::alarm::AlarmLimits;
@@ -77,6 +84,7 @@ use crate::metrics::Metrics;
 use crate::port::Port;
 use crate::store::{MapStore, Operations};
 use crate::trace::RequestSpanLayer;
+pub use base_map::{BaseMap, is_base_map};
 pub use cors::{Origins, is_origin};
 use error::Error;
 pub use files::LAST_BACKUP;
@@ -118,13 +126,15 @@ pub struct Place {
     pub base_path: String,
     /// Other origins whose pages may ask it.
     pub origins: Origins,
+    /// The map of streets that its console shows.
+    pub base_map: Option<BaseMap>,
 }
 
 impl Place {
     /// Whatever name, at the root, for pages of its own.
     #[must_use]
     pub fn any() -> Self {
-        Self { hosts: Hosts::any(), base_path: String::new(), origins: Origins::default() }
+        Self { hosts: Hosts::any(), base_path: String::new(), origins: Origins::default(), base_map: None }
     }
 }
 
@@ -136,6 +146,9 @@ struct App {
     limiter: limits::Limiter,
     gate: Arc<Gate>,
     rates: Arc<Rates>,
+    base_map: Option<BaseMap>,
+    /// What the console's page may load, and from where.
+    page_policy: HeaderValue,
 }
 
 /// The routes, whatever name they are asked for by, and by whomever.
@@ -149,7 +162,9 @@ pub fn router_at(state: HttpState, place: Place, (gate, rates): (Arc<Gate>, Arc<
     let artist = Arc::new(artist);
     let (past, limiter) =
         (past::PastMaps::new(state.address_share), limits::Limiter::of_port(state.address_share));
-    let app = Arc::new(App { state, artist, past, limiter, gate, rates });
+    let base_map = place.base_map.clone();
+    let page_policy = console::policy(base_map.as_ref());
+    let app = Arc::new(App { state, artist, past, limiter, gate, rates, base_map, page_policy });
     let (cors, base_path) = (place.origins.layer(), place.base_path.clone());
     let routes = routes()
         .into_iter()
@@ -202,6 +217,11 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/api/v1/tiles/at", get(catalog::tile_at)),
         ("/api/v1/tiles/{epsg}/{x}/{y}", get(catalog::tile)),
         ("/api/v1/tiles/{epsg}/{x}/{y}/localizability", get(expectation::tile)),
+        ("/api/v1/tiles/{epsg}/{x}/{y}/cells", get(cells::cells)),
+        ("/api/v1/cells/at", get(cells::cell_at)),
+        ("/api/v1/contributors", get(contributors::contributors)),
+        ("/api/v1/contributors/{hash}/uploads", get(contributors::uploads)),
+        ("/api/v1/uploads/{id}", get(contributors::upload)),
         ("/api/v1/fixes", get(live::fixes)),
         ("/api/v1/uploads", get(live::uploads)),
         ("/api/v1/events", get(live::events)),
@@ -212,6 +232,8 @@ fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/openapi.json", get(openapi::document)),
         ("/", get(console::page)),
         ("/assets/{name}", get(console::asset)),
+        ("/base-map", get(base_map::described)),
+        ("/base-map.pmtiles", get(base_map::file)),
     ]
 }
 

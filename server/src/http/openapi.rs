@@ -15,8 +15,8 @@ use utoipa::{Modify, OpenApi};
 use super::answers::MissedEvent;
 use super::outside::Outside;
 use super::{
-    catalog, console, decisions, expectation, files, layers, live, operations, probes, quarantine, session,
-    sign_in,
+    base_map, catalog, cells, console, contributors, decisions, expectation, files, layers, live, operations,
+    probes, quarantine, session, sign_in,
 };
 use crate::feed::QuarantineEvent;
 use crate::identity::COOKIE;
@@ -51,13 +51,14 @@ const HERE: &str = "/";
         (name = "console", description = "The page for operators."),
     ),
     paths(
-        catalog::map, catalog::tile_at, catalog::tile, expectation::tile, layers::tilejson, layers::tile,
+        catalog::map, catalog::tile_at, catalog::tile, cells::cells, cells::cell_at, expectation::tile, layers::tilejson, layers::tile,
         operations::history, operations::diff, operations::verify, operations::verify_with_replay, quarantine::quarantine,
+        contributors::contributors, contributors::uploads, contributors::upload,
         decisions::rollback, decisions::revoke, decisions::undo, decisions::compact, decisions::settle,
         files::export, files::import, files::backup, live::fixes, live::uploads, live::events,
         probes::healthz, probes::readyz, probes::metrics, session::who, session::sign_in, session::sign_out,
         sign_in::ways, sign_in::begin, sign_in::finish,
-        document, console::page, console::asset,
+        document, console::page, console::asset, base_map::described, base_map::file,
     ),
     // Events of the stream, which no operation names.
     components(schemas(MissedEvent, QuarantineEvent)),

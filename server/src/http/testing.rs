@@ -14,7 +14,7 @@ use axum::response::Response;
 use bytes::Bytes;
 use echofix_core::align::Search;
 use echofix_core::align::verdict::Integrity;
-use echofix_core::evidence::{Cell, presence};
+use echofix_core::evidence::{Cell, CellHits, EvidenceDelta, Pass, TileEvidence, presence};
 use echofix_core::geo::{TileId, Zone};
 use echofix_core::tile::Tile;
 use echofix_core::vetting::alarm::AlarmLimits;
@@ -23,14 +23,15 @@ use tokio::sync::watch;
 use tower::ServiceExt;
 use uuid::Uuid;
 
-use super::{HttpState, router};
+use super::{BaseMap, HttpState, Place, router, router_at};
 use crate::feed::{FixEvent, UploadEvent};
+use crate::identity::{Gate, IdentityConfig, Rates, RatesConfig, TlsConfig};
 use crate::locating::Expectations;
 use crate::store::testing::some_uploads;
 use crate::store::{
-    EmbeddedStore, Error, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Options,
-    Policy, Preview, Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo,
-    Totals, UploadRecord, Verified, Withheld,
+    ContributedUpload, ContributorFigures, EmbeddedStore, Error, HistoryEvent, Imported, MapProgress,
+    MapStatus, MapStore, Operations, Options, Policy, Preview, Proposal, QuarantinedRecord, Receipt, Region,
+    Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, Withheld,
 };
 
 /// 2024-10-04
@@ -257,6 +258,18 @@ impl Operations for FakeStore {
         HashMap::new()
     }
 
+    fn contributors(&self) -> Result<Vec<ContributorFigures>, Error> {
+        Err(only_read())
+    }
+
+    fn uploads_of(&self, _: u64, _: u64, _: usize) -> Result<Vec<ContributedUpload>, Error> {
+        Err(only_read())
+    }
+
+    fn upload(&self, _: Uuid) -> Result<Option<(u64, ContributedUpload)>, Error> {
+        Err(only_read())
+    }
+
     fn epochs(&self) -> (u64, u64) {
         (0, self.progress.borrow().epoch)
     }
@@ -335,6 +348,17 @@ impl TestSite {
         Self { store, state: state.clone(), ending, router: router(state) }
     }
 
+    /// The same with a map of streets.
+    pub fn with_base_map(self, base_map: Option<BaseMap>) -> Self {
+        let place = Place { base_map, ..Place::any() };
+        let router = router_at(
+            self.state.clone(),
+            place,
+            (Arc::new(Gate::open()), Arc::new(Rates::of(&RatesConfig::default()))),
+        );
+        Self { router, ..self }
+    }
+
     pub async fn get(&self, path: &str) -> Response {
         self.send(Method::GET, path, &[]).await
     }
@@ -344,6 +368,19 @@ impl TestSite {
         let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
         self.router.clone().oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
     }
+}
+
+/// Uploads, each of a contributor that hits these cells of the tile in Austin; the contributor's number is its day, too.
+pub fn uploads_of(hits: &[(u64, &[u32])]) -> Vec<UploadRecord> {
+    let upload = |(usual, (contributor, cells)): (UploadRecord, &(u64, &[u32]))| {
+        let hit = |index: &u32| CellHits { index: *index, hits: 2, offset_sum: [256; 2] };
+        let evidence = TileEvidence::of_hits(cells.iter().map(hit).collect());
+        let detections = evidence.detections();
+        let contribution = EvidenceDelta { tiles: [(austin(), evidence)].into(), detections };
+        let pass = Pass { day: DAY + *contributor as u16, contributor: *contributor };
+        UploadRecord { pass, contribution, ..usual }
+    };
+    some_uploads(hits.len()).into_iter().zip(hits).map(upload).collect()
 }
 
 /// The routes over a store on disk.
@@ -357,16 +394,20 @@ pub struct StoredSite {
 impl StoredSite {
     /// A store that was given so many uploads and shows them.
     pub async fn with_uploads(count: usize) -> Self {
+        Self::of(some_uploads(count), Policy::trusting(), Gate::open()).await
+    }
+
+    /// A store that was given these uploads under a policy and shows them to whom the gate lets in.
+    pub async fn of(uploads: Vec<UploadRecord>, policy: Policy, gate: Gate) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let data_dir = dir.path().to_owned();
-        let usual = Options::new(data_dir, Policy::trusting());
+        let usual = Options::new(data_dir, policy);
         let options = Options { cache_bytes: 1 << 20, segment_bytes: 1 << 20, ..usual };
         let store = Arc::new(EmbeddedStore::open(&options).unwrap());
-        let uploads = some_uploads(count);
         for upload in &uploads {
             store.commit(upload.clone()).unwrap();
         }
-        let router = router(HttpState {
+        let state = HttpState {
             store: store.clone(),
             operations: store.clone(),
             expectations: Arc::new(Expectations::new(store.clone(), Search::default(), Integrity::default())),
@@ -377,7 +418,9 @@ impl StoredSite {
             spool_dir: std::env::temp_dir(),
             address_share: 1.0,
             ending: watch::Sender::new(false).subscribe(),
-        });
+        };
+        let rates = Arc::new(Rates::of(&RatesConfig::default()));
+        let router = router_at(state, Place::any(), (Arc::new(gate), rates));
         let site = Self { store, uploads, router, _dir: dir };
         site.caught_up().await;
         site
@@ -403,6 +446,13 @@ impl StoredSite {
         let request = Request::builder().method(Method::POST).uri(path).header("content-type", kind);
         self.router.clone().oneshot(request.body(Body::from(body)).unwrap()).await.unwrap()
     }
+}
+
+/// A gate that takes whoever comes for this role.
+pub fn gate_of(role: &str) -> Gate {
+    let identity = IdentityConfig { anonymous: role.to_owned(), ..IdentityConfig::default() };
+    let tls = TlsConfig { reload_s: 1, ..TlsConfig::default() };
+    Gate::of(&tls, &identity, &[]).unwrap()
 }
 
 pub async fn bytes_of(response: Response) -> Bytes {

@@ -49,6 +49,9 @@ pub const TABLE: &[(Call<'static>, Access)] = &[
     (Http("GET", "/openapi.json"), Open),
     (Http("GET", "/"), Open),
     (Http("GET", "/assets/{name}"), Open),
+    // Of another's map, which its licence may not give to everybody.
+    (Http("GET", "/base-map"), Least(Viewer)),
+    (Http("GET", "/base-map.pmtiles"), Least(Viewer)),
     // Signing in and out; who has signed in.
     (Http("GET", "/session"), AnyRole),
     (Http("POST", "/session"), Open),
@@ -65,11 +68,18 @@ pub const TABLE: &[(Call<'static>, Access)] = &[
     (Http("GET", "/api/v1/tiles/at"), Least(Viewer)),
     (Http("GET", "/api/v1/tiles/{epsg}/{x}/{y}"), Least(Viewer)),
     (Http("GET", "/api/v1/tiles/{epsg}/{x}/{y}/localizability"), Least(Viewer)),
+    // Viewers are told of the cells that are served, operators of all, and who contributed.
+    (Http("GET", "/api/v1/tiles/{epsg}/{x}/{y}/cells"), Least(Viewer)),
+    (Http("GET", "/api/v1/cells/at"), Least(Viewer)),
     (Http("GET", "/api/v1/map/export"), Least(Viewer)),
     // Viewers get these events without the fixes, which tell where somebody is.
     (Http("GET", "/api/v1/events"), Least(Viewer)),
     (Http("GET", "/api/v1/uploads"), Least(Viewer)),
     (Http("GET", "/api/v1/fixes"), Least(Operator)),
+    // Who contributes, if only by keyed hashes, is for those who may have to revoke one.
+    (Http("GET", "/api/v1/contributors"), Least(Operator)),
+    (Http("GET", "/api/v1/contributors/{hash}/uploads"), Least(Operator)),
+    (Http("GET", "/api/v1/uploads/{id}"), Least(Operator)),
     // These fold or read everything, which takes a core for long.
     (Http("GET", "/api/v1/map/diff"), Least(Operator)),
     (Http("GET", "/api/v1/map/verify"), Least(Operator)),

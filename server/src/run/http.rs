@@ -18,7 +18,7 @@ use super::connections::{Acceptor, Door, InUse};
 use super::listener::Listener;
 use super::{LATE_FRAMES, ServiceContext, ended};
 use crate::config::{HttpConfig, LimitsConfig};
-use crate::http::{Hosts, HttpState, Origins, Place, router_at};
+use crate::http::{BaseMap, Hosts, HttpState, Origins, Place, router_at};
 use crate::listen::ListenAddress;
 use crate::pace::PacedBody;
 use crate::port::Port;
@@ -87,11 +87,14 @@ pub(super) async fn serve(
 
 /// Where the port is found, and by whose pages.
 fn place(bound: &ListenAddress, config: &HttpConfig) -> Place {
-    let HttpConfig { hosts, base_path, cors_origins, .. } = config;
+    let HttpConfig {
+        hosts, base_path, cors_origins, base_map, base_map_attribution, base_map_max_zoom, ..
+    } = config;
     Place {
         hosts: Hosts::of(bound.ip(), hosts),
         base_path: base_path.clone(),
         origins: Origins::of(cors_origins),
+        base_map: BaseMap::of(base_map, base_map_attribution, *base_map_max_zoom),
     }
 }
 

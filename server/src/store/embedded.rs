@@ -13,9 +13,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStatus, MapStore, Operations, Preparing,
-    Preview, Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
-    UploadRecord, Verified, Withheld, io_error,
+    ContributedUpload, ContributorFigures, Error, FoldingFigures, HistoryEvent, Imported, InspectedTile,
+    MapProgress, MapStatus, MapStore, Operations, Preparing, Preview, Proposal, QuarantinedRecord, Receipt,
+    Region, Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::backend::Backend;
 use crate::store::local;
@@ -30,7 +30,8 @@ use crate::store::map::context::{Settings, StoreContext};
 use crate::store::map::fold::unreadable;
 use crate::store::map::fold_worker::{self, FoldWorker};
 use crate::store::map::resume;
-use crate::store::operations::{backup, decide, history, past, region, verify};
+use crate::store::map::write_buffer::Source as _;
+use crate::store::operations::{backup, contributors, decide, history, past, region, verify};
 use crate::store::options::Options;
 
 /// A journal and the tiles that are folded from it, by default on local disks. Dropping it finishes what is being written.
@@ -177,6 +178,16 @@ impl MapStore for EmbeddedStore {
         Ok(Some(StoredTile { version, day: today, tile }))
     }
 
+    fn inspect(&self, id: TileId) -> Result<Option<InspectedTile>, Error> {
+        let generation = self.shared.readable()?;
+        if generation.catalog().get(id).is_none() {
+            return Ok(None);
+        }
+        let folded = generation.tiles.folded(id)?;
+        let today = generation.catalog().newest_day();
+        Ok(Some(self.shared.settings.policy.inspected(folded, today)))
+    }
+
     fn catalog(
         &self,
         zone: Zone,
@@ -248,6 +259,18 @@ impl Operations for EmbeddedStore {
 
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
         self.shared.index.ids(numbers)
+    }
+
+    fn contributors(&self) -> Result<Vec<ContributorFigures>, Error> {
+        contributors::all(&self.shared)
+    }
+
+    fn uploads_of(&self, hash: u64, before: u64, limit: usize) -> Result<Vec<ContributedUpload>, Error> {
+        contributors::uploads_of(&self.shared, hash, before, limit)
+    }
+
+    fn upload(&self, id: Uuid) -> Result<Option<(u64, ContributedUpload)>, Error> {
+        contributors::upload(&self.shared, id)
     }
 
     fn epochs(&self) -> (u64, u64) {

@@ -1,13 +1,22 @@
 //! What the operators' port answers in JSON, as types. The `OpenAPI` document is made from them.
 //!
 //! - `map`: the map and its tiles in numbers.
+//! - `cells`: a tile to the cell.
+//! - `contributors`: who contributed, and what.
 //! - `history`: what happened to the map, how two maps differ, what was decided.
 //! - `service`: how the service is, who asks, the feeds, a layer, an error.
 
+mod cells;
+mod contributors;
 mod history;
 mod map;
 mod service;
 
+pub use cells::{CellAnswer, CellAtAnswer, CellsAnswer};
+pub use contributors::{
+    ContributedUploadAnswer, ContributorAnswer, ContributorUploadsAnswer, ContributorsAnswer,
+    KnownUploadAnswer, RevocationAnswer,
+};
 pub use history::{
     Cells, DecidedAnswer, DiffAnswer, DifferenceAnswer, EventAnswer, Happened, HistoryAnswer, ImportedAnswer,
     PreviewAnswer, RemarkedAnswer, TakenAndGiven, TileDifference, VerifiedAnswer,
@@ -17,8 +26,9 @@ pub use map::{
     TileAnswer, TotalsAnswer, WaitingAnswer, ZoneAnswer,
 };
 pub use service::{
-    AlarmAnswer, AliveAnswer, CallerAnswer, ErrorAnswer, ErrorBody, FixesAnswer, MissedEvent, PartReadiness,
-    QuarantineAnswer, ReadinessAnswer, ReadyAnswer, SignInWaysAnswer, TileJsonAnswer, UploadsAnswer,
+    AlarmAnswer, AliveAnswer, BaseMapAnswer, CallerAnswer, ErrorAnswer, ErrorBody, FixesAnswer, MissedEvent,
+    PartReadiness, QuarantineAnswer, ReadinessAnswer, ReadyAnswer, SignInWaysAnswer, TileJsonAnswer,
+    UploadsAnswer,
 };
 
 /// Why a request is refused that may be sent again in a second.

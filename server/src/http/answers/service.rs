@@ -77,6 +77,22 @@ pub struct ReadyAnswer {
     pub anonymous: Option<String>,
 }
 
+/// The map of streets that the console shows below the radar map.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = BaseMap)]
+pub struct BaseMapAnswer {
+    /// `NONE`, `TILES` of another service, or a `PMTILES` file of this one.
+    #[schema(pattern = "^(NONE|TILES|PMTILES)$", example = "TILES")]
+    pub kind: &'static str,
+    /// The template of the tiles' addresses, or where the file is, relative to the console; null where there is none.
+    #[schema(required, example = "https://tiles.example/{z}/{x}/{y}.png")]
+    pub url: Option<String>,
+    /// Whose map it is, in words, as its licence asks.
+    pub attribution: String,
+    /// The last zoom that the tiles have; a `PMTiles` file says so itself.
+    pub max_zoom: u8,
+}
+
 /// Who asks.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Caller)]

@@ -6,7 +6,10 @@ use echofix_core::geo::{TileId, Zone};
 use tokio::sync::watch;
 use uuid::Uuid;
 
-use super::{Error, MapProgress, Preparing, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};
+use super::{
+    Error, InspectedTile, MapProgress, Preparing, Receipt, StoredTile, TileInfo, Totals, UploadRecord,
+    Withheld,
+};
 
 /// The map and its journal. Every call may block on the disk: keep it off the async threads.
 pub trait MapStore: Send + Sync {
@@ -40,6 +43,14 @@ pub trait MapStore: Send + Sync {
     /// # Errors
     /// When the disk refuses, the tile is damaged, or the map is being rebuilt.
     fn tile(&self, id: TileId) -> Result<Option<StoredTile>, Error>;
+
+    /// One tile with all that is known of it, served or not; `None` where nothing was hit.
+    ///
+    /// # Errors
+    /// As [`MapStore::tile`], or when this map knows only what is served.
+    fn inspect(&self, id: TileId) -> Result<Option<InspectedTile>, Error> {
+        Err(Error::Unusable(format!("this map knows only what is served of tile {id}")))
+    }
 
     /// The catalog's entries of a zone's block of tiles, in order of their id.
     ///

@@ -1,6 +1,7 @@
 //! What every storage engine offers, and its values. It knows nothing of how anything is stored.
 
 mod clock;
+mod contributors;
 mod decision;
 mod error;
 mod history;
@@ -12,6 +13,7 @@ mod upcoming;
 mod values;
 
 pub use clock::StoreClock;
+pub use contributors::{ContributedUpload, ContributorFigures, Revocation, UploadFate};
 pub use decision::{Contributor, Decision, LONGEST_REMARK, Preview, Proposal, Remark};
 pub use error::Error;
 pub(in crate::store) use error::io_error;
@@ -21,4 +23,4 @@ pub use operations::Operations;
 pub use progress::{Building, MapProgress, MapStatus};
 pub use reports::{FoldingFigures, Imported, QuarantinedRecord, Region, Verified};
 pub use upcoming::{Preparing, UpcomingMap};
-pub use values::{Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};
+pub use values::{InspectedTile, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld};

@@ -8,8 +8,8 @@ use tokio::sync::broadcast;
 use uuid::Uuid;
 
 use super::{
-    Contributor, Error, FoldingFigures, HistoryEvent, Imported, MapStore, Preview, Proposal,
-    QuarantinedRecord, Region, Remark, Snapshot, TileDiff, Verified,
+    ContributedUpload, Contributor, ContributorFigures, Error, FoldingFigures, HistoryEvent, Imported,
+    MapStore, Preview, Proposal, QuarantinedRecord, Region, Remark, Snapshot, TileDiff, Verified,
 };
 
 /// Decisions about the map's history. Each is a record of the journal: synced when the call returns its
@@ -41,6 +41,24 @@ pub trait Operations: Send + Sync {
 
     /// The ids of the uploads that are these records, as far as the journal still has them.
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid>;
+
+    /// Who contributed, in order of the hashes; those whose uploads are all compacted are forgotten.
+    ///
+    /// # Errors
+    /// When the map is being rebuilt, or the disk refuses.
+    fn contributors(&self) -> Result<Vec<ContributorFigures>, Error>;
+
+    /// The newest uploads of a contributor with numbers before this one, at most `limit`, newest first.
+    ///
+    /// # Errors
+    /// As [`Operations::contributors`].
+    fn uploads_of(&self, hash: u64, before: u64, limit: usize) -> Result<Vec<ContributedUpload>, Error>;
+
+    /// An upload in the journal by its id, and the keyed hash of its contributor.
+    ///
+    /// # Errors
+    /// As [`Operations::contributors`].
+    fn upload(&self, id: Uuid) -> Result<Option<(u64, ContributedUpload)>, Error>;
 
     /// Follows what vetting keeps out of the map from now on; a slow listener misses some.
     fn kept_out(&self) -> broadcast::Receiver<QuarantinedRecord>;

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use echofix_core::datum::PoseSigma;
-use echofix_core::evidence::{EvidenceDelta, Pass};
+use echofix_core::evidence::{Cell, EvidenceDelta, Pass};
 use echofix_core::geo::TileId;
-use echofix_core::tile::{self, Tile};
+use echofix_core::tile::{self, Decay, Ledger, Standing, Tile};
 use uuid::Uuid;
 
 /// An upload as a record of the journal.
@@ -61,6 +61,31 @@ impl StoredTile {
     #[must_use]
     pub fn encoded(&self) -> Vec<u8> {
         tile::encode(&self.tile)
+    }
+}
+
+/// A tile with all that is known of it, unpublished cells included: for operators.
+#[derive(Debug, Clone)]
+pub struct InspectedTile {
+    /// Epoch of the tile's last change.
+    pub version: u64,
+    /// The evidence.
+    pub tile: Tile,
+    /// Who said what of it lately.
+    pub ledger: Ledger,
+    /// Distinct contributors that are needed for a cell to be served.
+    pub needed: u8,
+    /// The map's newest day, from which decay is counted; `None` where nothing decays.
+    pub today: Option<u16>,
+    /// How evidence decays.
+    pub decay: Decay,
+}
+
+impl InspectedTile {
+    /// Whether a cell of it is served, by its index.
+    #[must_use]
+    pub fn standing(&self, (index, cell): (u32, &Cell)) -> Standing {
+        self.tile.standing((index, cell), self.needed, self.today, &self.decay)
     }
 }
 

@@ -81,6 +81,14 @@ impl JournalIndex {
         self.lock().imports.contains_key(&(file, tile))
     }
 
+    /// Number, UTC day and contributor of an upload in the journal.
+    pub(in crate::store) fn upload(&self, id: Uuid) -> Option<(u64, u16, u64)> {
+        let state = self.lock();
+        let number = *state.numbers.get(&id)?;
+        let contributor = state.get(number)?.contributor;
+        Some((number, state.run(number).day, contributor))
+    }
+
     /// An imported tile in the journal.
     pub(in crate::store) fn find_import(&self, file: Uuid, tile: TileId) -> Option<Written> {
         let state = self.lock();

@@ -12,6 +12,9 @@ use echofix_core::tile::{Decay, Tile};
 use echofix_core::vetting::VettingLimits;
 use siphasher::sip::SipHasher24;
 
+use super::write_buffer::Folded;
+use crate::store::api::InspectedTile;
+
 /// To be raised with every change of what folding makes of the same journal under the same policy, be it by a byte of the
 /// weights that uploads are compared with: maps are then folded anew, under a new lineage. A test in `tests/folding.rs` fails then.
 pub(in crate::store) const FOLDING: u32 = 1;
@@ -53,6 +56,15 @@ impl Policy {
             None => tile.published(self.publish_contributors, None, &Decay::default()),
             Some(decay) => tile.published(self.publish_contributors, Some(today), &decay),
         }
+    }
+}
+
+impl Policy {
+    /// All that is known of a tile, on a map whose newest day is `today`.
+    pub(in crate::store) fn inspected(&self, folded: Folded, today: u16) -> InspectedTile {
+        let Folded { version, tile, ledger } = folded;
+        let (needed, today) = (self.publish_contributors, self.decay.map(|_| today));
+        InspectedTile { version, tile, ledger, needed, today, decay: self.decay.unwrap_or_default() }
     }
 }
 

@@ -6,25 +6,31 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use echofix_core::geo::{TileId, Zone};
+use echofix_core::tile;
 use tokio::sync::watch;
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals, UploadRecord, Withheld,
+    Error, InspectedTile, MapProgress, MapStatus, MapStore, Receipt, StoredTile, TileInfo, Totals,
+    UploadRecord, Withheld,
 };
 use crate::store::map::catalog::Catalog;
 use crate::store::map::context::StoreContext;
+use crate::store::map::policy::Policy;
 use crate::store::map::tiles::waiting;
+use crate::store::map::write_buffer::Folded;
 use crate::store::operations::history;
 
 /// A map in memory that is only read, and changes no more.
 struct PastMap {
     lineage: u64,
     tiles: BTreeMap<TileId, StoredTile>,
+    /// All that is known of each tile, in bytes: few are inspected.
+    evidence: BTreeMap<TileId, (Vec<u8>, Vec<u8>)>,
+    policy: Policy,
+    today: u16,
     catalog: Catalog,
     uploads: u64,
-    /// Contributors that are needed for something to be served.
-    needed: u8,
     progress: watch::Sender<MapProgress>,
 }
 
@@ -34,12 +40,13 @@ pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<A
     let policy = &shared.settings.policy;
     let folded = history::folded(shared, epoch, &exclusion)?;
     let today = folded.values().map(|folded| folded.tile.newest_day()).max().unwrap_or_default();
-    let (mut tiles, mut catalog) = (BTreeMap::new(), Catalog::default());
+    let (mut tiles, mut evidence, mut catalog) = (BTreeMap::new(), BTreeMap::new(), Catalog::default());
     for (id, folded) in folded {
         let newest_day = folded.tile.newest_day();
         let cells = folded.tile.supported(policy.publish_contributors).count() as u32;
         let mut info = TileInfo { id, version: folded.version, cells, newest_day, bytes: 0, waiting: 0 };
         info.waiting = waiting(&info, &folded.tile);
+        evidence.insert(id, (tile::encode(&folded.tile), tile::encode_ledger(&folded.ledger)));
         let tile = policy.served(folded.tile, today);
         let stored = StoredTile { version: folded.version, day: today, tile: Arc::new(tile) };
         let bytes = stored.encoded().len() as u32;
@@ -52,8 +59,8 @@ pub(in crate::store) fn served_at(shared: &StoreContext, epoch: u64) -> Result<A
     let uploads = compacted + shared.index.uploads_within(0, epoch);
     let served = MapProgress { state: MapStatus::Serving, epoch, journaled: epoch, ..MapProgress::default() };
     let progress = watch::Sender::new(served);
-    let (lineage, needed) = (shared.lineage, policy.publish_contributors);
-    Ok(Arc::new(PastMap { lineage, tiles, catalog, uploads, needed, progress }))
+    let (lineage, policy) = (shared.lineage, *policy);
+    Ok(Arc::new(PastMap { lineage, tiles, evidence, policy, today, catalog, uploads, progress }))
 }
 
 impl MapStore for PastMap {
@@ -78,6 +85,20 @@ impl MapStore for PastMap {
         Ok(self.tiles.get(&id).cloned())
     }
 
+    fn inspect(&self, id: TileId) -> Result<Option<InspectedTile>, Error> {
+        let (Some((tile, ledger)), Some(info)) = (self.evidence.get(&id), self.catalog.get(id)) else {
+            return Ok(None);
+        };
+        let damaged = |error: tile::DecodeError| Error::Damaged {
+            what: format!("tile {id}"),
+            reason: error.to_string(),
+        };
+        let tile = tile::decode(tile).map_err(damaged)?;
+        let ledger = tile::decode_ledger(ledger).map_err(damaged)?;
+        let folded = Folded { version: info.version, tile, ledger };
+        Ok(Some(self.policy.inspected(folded, self.today)))
+    }
+
     fn catalog(
         &self,
         zone: Zone,
@@ -95,7 +116,7 @@ impl MapStore for PastMap {
         x: RangeInclusive<i32>,
         y: RangeInclusive<i32>,
     ) -> Result<Option<Withheld>, Error> {
-        Ok(self.catalog.withheld((zone, &x, &y), self.needed))
+        Ok(self.catalog.withheld((zone, &x, &y), self.policy.publish_contributors))
     }
 
     fn zones(&self) -> Vec<Zone> {
@@ -103,7 +124,7 @@ impl MapStore for PastMap {
     }
 
     fn totals(&self) -> Totals {
-        self.catalog.totals(self.uploads, self.needed)
+        self.catalog.totals(self.uploads, self.policy.publish_contributors)
     }
 
     fn progress(&self) -> watch::Receiver<MapProgress> {

@@ -31,9 +31,9 @@ use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
 use crate::store::api::{
-    Error, FoldingFigures, HistoryEvent, Imported, MapProgress, MapStore, Operations, Preparing, Preview,
-    Proposal, QuarantinedRecord, Receipt, Region, Remark, Snapshot, StoredTile, TileInfo, Totals,
-    UploadRecord, Verified, Withheld, io_error,
+    ContributedUpload, ContributorFigures, Error, FoldingFigures, HistoryEvent, Imported, InspectedTile,
+    MapProgress, MapStore, Operations, Preparing, Preview, Proposal, QuarantinedRecord, Receipt, Region,
+    Remark, Snapshot, StoredTile, TileInfo, Totals, UploadRecord, Verified, Withheld, io_error,
 };
 use crate::store::embedded::EmbeddedStore;
 use crate::store::local;
@@ -183,6 +183,10 @@ impl MapStore for ReplicatedStore {
         self.copy.catalog(zone, x, y)
     }
 
+    fn inspect(&self, id: TileId) -> Result<Option<InspectedTile>, Error> {
+        self.copy.inspect(id)
+    }
+
     fn withheld(
         &self,
         zone: Zone,
@@ -242,6 +246,18 @@ impl Operations for ReplicatedStore {
 
     fn upload_ids(&self, numbers: &BTreeSet<u64>) -> HashMap<u64, Uuid> {
         self.copy.upload_ids(numbers)
+    }
+
+    fn contributors(&self) -> Result<Vec<ContributorFigures>, Error> {
+        self.copy.contributors()
+    }
+
+    fn uploads_of(&self, hash: u64, before: u64, limit: usize) -> Result<Vec<ContributedUpload>, Error> {
+        self.copy.uploads_of(hash, before, limit)
+    }
+
+    fn upload(&self, id: Uuid) -> Result<Option<(u64, ContributedUpload)>, Error> {
+        self.copy.upload(id)
     }
 
     fn epochs(&self) -> (u64, u64) {
