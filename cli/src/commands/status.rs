@@ -27,7 +27,7 @@ pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result
     let map = if args.ready { Value::Null } else { get_json_as(credentials, http, "/api/v1/map")? };
     let reason = map["error"]["message"].as_str().unwrap_or_default();
     anyhow::ensure!(map["error"].is_null(), "the service refuses: {reason}");
-    let quarantine = if args.ready { Value::Null } else { kept_out(credentials, &args.http)? };
+    let quarantine = if args.ready { Value::Null } else { kept_out(credentials, http)? };
     if json {
         let told = serde_json::json!({ "readiness": ready, "map": map, "quarantine": quarantine });
         println!("{told}");
