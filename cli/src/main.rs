@@ -7,12 +7,15 @@
 
 mod commands;
 mod offline;
+mod readers;
+mod unfinished;
 
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use echofix_harness::credentials::Credentials;
+use echofix_harness::progress;
 
 /// The version, and the commit that it was built from.
 const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("ECHOFIX_BUILT_FROM"), ")");
@@ -72,15 +75,20 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    readers::may_leave();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return misread(&error),
+    };
     let json = cli.json;
-    match run(cli) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
+    match readers::read_to_the_end(|| run(cli)) {
+        None => ExitCode::from(readers::GONE),
+        Some(Ok(())) => ExitCode::SUCCESS,
+        Some(Err(error)) => {
             if json {
                 println!("{}", commands::error_json(&error));
             }
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", commands::error_words(&error));
             let missing =
                 error.downcast_ref().is_some_and(echofix_server::config::Error::is_missing_identity);
             if missing { ExitCode::from(2) } else { ExitCode::FAILURE }
@@ -88,17 +96,29 @@ fn main() -> ExitCode {
     }
 }
 
+/// Tells what is wrong with the arguments, to machines, too, where that is asked for. Help and version are told as ever.
+fn misread(error: &clap::Error) -> ExitCode {
+    if error.use_stderr() && std::env::args_os().any(|argument| argument == "--json") {
+        let told = error.to_string();
+        let message = told.split("\n\n").next().unwrap_or_default().trim().trim_start_matches("error: ");
+        println!("{}", commands::error_json(&anyhow::anyhow!("{message}")));
+    }
+    // Nobody may be there to read it.
+    let _ = error.print();
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+}
+
 fn run(cli: Cli) -> anyhow::Result<()> {
     let (json, credentials) = (cli.json, cli.credentials);
     match cli.command {
         Command::Serve(args) => commands::serve::run(&args),
-        Command::Simulate(args) => commands::simulate::run(&args, json),
-        Command::Import(args) => commands::import::run(&args, json),
+        Command::Simulate(args) => blocking(move || commands::simulate::run(&args, json)),
+        Command::Import(args) => blocking(move || commands::import::run(&args, json)),
         #[cfg(feature = "lab")]
-        Command::Evaluate(args) => echofix_lab::evaluate::command::run(&args, json),
+        Command::Evaluate(args) => blocking(move || echofix_lab::evaluate::command::run(&args, json)),
         #[cfg(feature = "lab")]
-        Command::Sizing(args) => echofix_lab::sizing::command::run(args, json),
-        Command::Calibrate(args) => commands::calibrate::run(&args, json),
+        Command::Sizing(args) => blocking(move || echofix_lab::sizing::command::run(args, json)),
+        Command::Calibrate(args) => blocking(move || commands::calibrate::run(&args, json)),
         Command::Identity(args) => commands::identity::run(&args, json),
         Command::Token(args) => commands::token::run(&args, json),
         Command::Completions(args) => commands::shell::completions(&args, Cli::command()),
@@ -126,14 +146,33 @@ fn in_runtime(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<
     done
 }
 
-/// Work that ends when the user has had enough: what holds temporary folders and processes is dropped on the way out.
+/// Work that blocks, and ends when the user has had enough.
+fn blocking(work: impl FnOnce() -> anyhow::Result<()> + Send + 'static) -> anyhow::Result<()> {
+    in_runtime(interruptible(off_the_runtime(work)))
+}
+
+/// Work that blocks, on a thread where it may.
+async fn off_the_runtime(work: impl FnOnce() -> anyhow::Result<()> + Send + 'static) -> anyhow::Result<()> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(done) => done,
+        Err(broken) => match broken.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(broken) => Err(broken.into()),
+        },
+    }
+}
+
+/// Work that ends when the user has had enough, and says how far it came: what holds temporary folders and processes is dropped on the
+/// way out, and what is half written is removed.
 async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
     tokio::select! {
         biased;
         done = work => done,
         interrupted = tokio::signal::ctrl_c() => {
             interrupted.context("waiting for an interrupt")?;
-            anyhow::bail!("interrupted")
+            unfinished::remove_all();
+            let far = progress::how_far().map(|far| format!(" at {far}")).unwrap_or_default();
+            anyhow::bail!("interrupted{far}")
         }
     }
 }

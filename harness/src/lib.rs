@@ -10,7 +10,8 @@
 //! - [`truth`]: known poses and the error of an answer; [`prior`]: rough poses drawn around them.
 //! - [`questions`]: what a drive asks; [`replay`]: asking it; [`fix_record`]: one question and its answer;
 //!   [`summary`]: the figures of many.
-//! - [`percentiles`]: nearest ranks, and the paper's figures to compare with; [`progress`]: bars for people.
+//! - [`percentiles`]: nearest ranks, and the paper's figures to compare with; [`progress`]: bars for people; [`ranges`]:
+//!   arguments that are numbers.
 
 pub mod credentials;
 pub mod fix_record;
@@ -22,6 +23,7 @@ pub mod process;
 pub mod profile;
 pub mod progress;
 pub mod questions;
+pub mod ranges;
 pub mod recording;
 pub mod replay;
 pub mod summary;

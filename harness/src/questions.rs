@@ -134,8 +134,8 @@ impl DriveQuestions {
         }
         let findings = vehicle.findings();
         if questions.is_empty() {
-            let told = in_words(&findings);
-            bail!("the drive of `{}` holds no batch to ask with: {not_asked:?}. {told}", drive.vehicle);
+            let (why, told) = (why_nothing(drive, &not_asked), in_words(&findings));
+            bail!("the drive of `{}` holds no batch to ask with: {why}. {told}", drive.vehicle);
         }
         Ok(Self { questions, not_asked, left_out: vehicle.dropped().into(), findings, flaws, truth })
     }
@@ -165,4 +165,15 @@ fn word(reason: &NotReady) -> &'static str {
         NotReady::NoPrior => "no prior",
         NotReady::OffTheMap(_) => "off the map",
     }
+}
+/// Why a drive asks nothing, in words.
+fn why_nothing(drive: &Drive, not_asked: &BTreeMap<String, usize>) -> String {
+    if drive.odometry.len() < 2 {
+        return "its log holds no odometry, by which batches are organised".to_owned();
+    }
+    if not_asked.is_empty() {
+        return "scans, odometry and known poses have no time in common that is long enough".to_owned();
+    }
+    let reasons: Vec<_> = not_asked.iter().map(|(word, count)| format!("{word} {count}")).collect();
+    reasons.join(", ")
 }

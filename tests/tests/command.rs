@@ -235,7 +235,7 @@ fn errors_say_what_to_do_and_end_with_exit_code_one() {
     fs::write(&notes, "not a drive").unwrap();
     // Nobody listens at port 1.
     let nobody = "http://127.0.0.1:1";
-    let empty = folder.path("empty");
+    let (empty, other) = (folder.path("empty"), folder.path("other.mcap"));
     fs::create_dir(&empty).unwrap();
     for (arguments, hints) in [
         (vec!["status", "--http", nobody], vec![nobody, "echofix serve"]),
@@ -243,7 +243,8 @@ fn errors_say_what_to_do_and_end_with_exit_code_one() {
         (vec!["map", &notes, "--server", nobody, "--spool", &spool], vec![&notes]),
         (vec!["map", &empty, "--server", nobody, "--spool", &spool], vec![&empty, "scans.csv", ".mcap"]),
         (vec!["localize", "/nowhere/at.all", "--server", nobody], vec!["/nowhere/at.all", "No such file"]),
-        (vec!["import", "radiate", &empty, &log], vec!["missing", "radiate"]),
+        (vec!["import", "radiate", &empty, &other], vec!["missing", "radiate"]),
+        (vec!["import", "radiate", &empty, &log], vec![&log, "--force"]),
         (vec!["serve", "--set", "mapping.max_rnge_m=3"], vec!["max_rnge_m", "mapping.max_range_m"]),
         (vec!["serve", "--set", "mapping.max_range_m=-3"], vec!["mapping.max_range_m"]),
     ] {

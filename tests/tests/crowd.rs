@@ -200,6 +200,12 @@ fn is_seen(service: &Service, kept_out: usize) {
         "{run:?}"
     );
     assert!(run.stdout.contains("shifted"), "{run:?}");
+    let status = command::echofix(["status", "--http", &service.http]);
+    assert!(status.stdout.contains("in quarantine") && !status.stdout.contains("ALARM"), "{status:?}");
+    let history = command::echofix(["map", "history", "--http", &service.http]);
+    assert!(history.stdout.contains(&format!("{kept_out} of them in quarantine")), "{history:?}");
+    let alarms = command::echofix(["map", "alarms", "--http", &service.http]);
+    assert!(alarms.stdout.contains("there is no alarm"), "{alarms:?}");
 }
 
 /// Catches: quarantined uploads that come to count once they are many.
@@ -220,6 +226,10 @@ async fn three_who_agree_on_a_shift_raise_an_alarm_and_publish_nothing() {
         assert_eq!((&alarm["kind"], &alarm["contributors"]), (&json!("SHIFT"), &json!(3)), "{alarm}");
         let off = |axis: &str| alarm["offset"][axis].as_f64().expect("a shift has an offset");
         assert!(off("east_m").hypot(off("north_m") + 1.5) < 0.4, "{alarm}");
+    }
+    for words in [&["map", "alarms"][..], &["status"]] {
+        let told = command::echofix(words.iter().copied().chain(["--http", &service.http])).stdout;
+        assert!(told.contains("ALARM: 3 contributors agree at "), "{told}");
     }
     assert!(tiles::all(&service).await == before, "nothing is published by itself");
 }

@@ -5,12 +5,17 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use echofix_client::service;
 use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_core::tile;
+use echofix_tests::command::echofix;
+use echofix_tests::crowd::{bytes, street};
+use echofix_tests::mapping::contribute;
 use echofix_tests::service::{Service, Setup};
 use echofix_tests::tiles::{self, EVERYWHERE};
+use echofix_tests::town;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/v0.1").join(name)
@@ -63,4 +68,32 @@ async fn the_data_of_version_0_1_keeps_its_lineage_its_versions_and_its_bytes() 
         service.kill();
         service.start_again();
     }
+}
+
+/// Catches: a backup that holds less than the upgraded map, or a restored one that serves other tiles, tells another history, does not
+/// replay to itself, or takes no more uploads.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_upgrade_is_drilled_on_a_backup() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, drill, archive) =
+        (folder.path().join("data"), folder.path().join("drill"), folder.path().join("map.tar"));
+    copied(&fixture("data"), &data);
+    let upgraded = Service::start_as(as_of_old(data));
+    let operate = |service: &Service, words: &[&str]| {
+        echofix(["map"].iter().chain(words).chain(&["--http", &service.http, "--json"])).json()
+    };
+    operate(&upgraded, &["backup", archive.to_str().unwrap()]);
+    fs::create_dir(&drill).unwrap();
+    let unpacked = Command::new("tar").arg("xf").arg(&archive).arg("-C").arg(&drill).status();
+    assert!(unpacked.unwrap().success());
+
+    let restored = Service::start_as(as_of_old(drill));
+    let (served, drilled) = (tiles::all(&upgraded).await, tiles::all(&restored).await);
+    assert!(!served.is_empty() && bytes(&served) == bytes(&drilled), "the same map");
+    assert_eq!(operate(&restored, &["history"])["events"], operate(&upgraded, &["history"])["events"]);
+    let found = operate(&restored, &["verify", "--replay"]);
+    assert!(found["sound"] == true && found["compared"].as_u64() > Some(0), "{found}");
+    let city = town::town(town::seed());
+    contribute(&restored, &street(&city, 0, "anna")).await;
+    assert!(tiles::all(&upgraded).await == served, "a drill changes nothing of what it drills");
 }

@@ -151,4 +151,66 @@ fn errors_are_json_where_it_is_asked_for() {
     assert_eq!(run.code, Some(1));
     assert!(error["error"]["message"].as_str().unwrap().contains("/nowhere/at.all"), "{error}");
     assert!(error["error"]["causes"][0].as_str().unwrap().contains("No such file"), "{error}");
+    // Arguments that cannot be read end with code 2, as everywhere.
+    for (arguments, words) in [
+        (&["map", "a.mcap", "--patience-s", "nan"][..], "must lie within"),
+        (&["localize"], "required arguments"),
+        (&["nothing"], "unrecognized subcommand"),
+        (&["simulate", "x.mcap", "--day", "-1"], "unexpected argument"),
+    ] {
+        let run = echofix(arguments.iter().chain(&["--json"]));
+        let error: Value = serde_json::from_str(&run.stdout).unwrap_or_else(|_| panic!("{run:?}"));
+        let message = error["error"]["message"].as_str().unwrap();
+        assert!(run.code == Some(2) && message.contains(words), "{run:?}");
+        assert!(!message.starts_with("error") && run.stderr.contains("error: "), "{run:?}");
+    }
+    let help = echofix(["map", "--help", "--json"]);
+    assert!(help.code == Some(0) && help.stdout.contains("Usage:"), "{help:?}");
+}
+
+/// Catches: an interrupted command that leaves a part with the name of a whole, or one that cannot be begun again for it.
+#[test]
+fn what_is_interrupted_leaves_no_part() {
+    for out in ["long.mcap", "long"] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Command::new(binary::echofix())
+            .args(["simulate", &path(&folder, out), "--wander-m", "1000000"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        until_blocking("it is under way", Duration::from_mins(1), || {
+            // It hears signals once it has its handler: SIGINT is the second bit.
+            let status = fs::read_to_string(format!("/proc/{}/status", run.id())).ok()?;
+            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+            (u64::from_str_radix(caught.trim(), 16).ok()? & 2 == 2).then_some(())
+        });
+        assert!(Command::new("kill").args(["-INT", &run.id().to_string()]).status().unwrap().success());
+        let status = until_blocking("the command ends", Duration::from_mins(1), || run.try_wait().unwrap());
+        let mut told = String::new();
+        run.stderr.as_mut().unwrap().read_to_string(&mut told).unwrap();
+        assert_eq!((status.code(), told.trim()), (Some(1), "error: interrupted"));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+    }
+}
+
+/// Catches: a panic that is told to whoever reads only the first lines.
+#[test]
+fn a_reader_may_leave_early() {
+    let service = Service::start();
+    for arguments in
+        [&["status", "--http", &service.http][..], &["map", "history", "--json", "--http", &service.http]]
+    {
+        let mut run = Command::new(binary::echofix())
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(run.stdout.take());
+        let ended = run.wait_with_output().unwrap();
+        assert_eq!((ended.status.code(), &ended.stderr[..]), (Some(141), &b""[..]), "{arguments:?}");
+    }
 }

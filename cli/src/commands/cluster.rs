@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 use echofix_server::store::SharedMap;
-use serde_json::json;
+use serde_json::{Value, json};
 
 /// Arguments of `echofix cluster`.
 #[derive(clap::Args)]
@@ -48,8 +48,42 @@ pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
             json!({ "sound": sound, "records": found.records, "compacted_tiles": tiles, "damage": found.damage })
         }
     };
-    println!("{}", if json { answer.to_string() } else { format!("{answer:#}") });
+    if json {
+        println!("{answer}");
+    } else {
+        tell(&answer, "");
+    }
     // Scripts read the exit code.
     ensure!(sound, "what is in the bucket is damaged");
     Ok(())
+}
+
+/// Each value in a line of its own, below a heading where it has parts.
+fn tell(answer: &Value, indent: &str) {
+    for (name, value) in answer.as_object().into_iter().flatten() {
+        let name = name.replace('_', " ");
+        match value {
+            Value::Object(_) => {
+                println!("{indent}{name}");
+                tell(value, &format!("{indent}  "));
+            }
+            Value::Array(parts) if parts.is_empty() => println!("{indent}{name:<20} none"),
+            Value::Array(parts) => {
+                println!("{indent}{name}");
+                for part in parts {
+                    println!("{indent}  {}", plain(part));
+                }
+            }
+            value => println!("{indent}{name:<20} {:>12}", plain(value)),
+        }
+    }
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "none".to_owned(),
+        Value::Bool(yes) => if *yes { "yes" } else { "no" }.to_owned(),
+        other => other.to_string(),
+    }
 }

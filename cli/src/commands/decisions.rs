@@ -5,6 +5,8 @@ use std::io::{self, IsTerminal, Write};
 use anyhow::{bail, ensure};
 use serde_json::{Value, json};
 
+use super::map_shown::foretold;
+
 /// How a decision is taken.
 #[derive(clap::Args)]
 pub struct HowDecided {
@@ -37,39 +39,20 @@ pub fn decide(
         ensure!(asked, "nobody can be asked here: say --yes to decide, or --dry-run to look");
         let mut question = body.clone();
         question["dry_run"] = json!(true);
-        let foretold = post(route, &question)?;
+        let foretells = post(route, &question)?;
         if how.dry_run {
-            return Ok(foretold);
+            return Ok(foretells);
         }
-        tell(&foretold["dry_run"])?;
+        let mut out = io::stderr().lock();
+        for line in foretold(&foretells["dry_run"]) {
+            writeln!(out, "{line}")?;
+        }
+        drop(out);
         if !agreed()? {
             bail!("nothing was decided");
         }
     }
     post(route, &body)
-}
-
-fn tell(change: &Value) -> io::Result<()> {
-    let mut out = io::stderr().lock();
-    let pair = |of: &Value| format!("{} taken back, {} given back", of["taken_back"], of["given_back"]);
-    writeln!(
-        out,
-        "uploads:        {} (of {} contributors)",
-        pair(&change["uploads"]),
-        change["contributors"]
-    )?;
-    writeln!(out, "imported tiles: {}", pair(&change["imported_tiles"]))?;
-    let cells = &change["cells"];
-    writeln!(
-        out,
-        "cells:          {} added, {} removed, {} changed, in {} tiles",
-        cells["added"], cells["removed"], cells["changed"], change["tiles_changed"]
-    )?;
-    if change["can_be_undone"] == true {
-        writeln!(out, "`echofix map undo` takes this back.")
-    } else {
-        writeln!(out, "{} uploads are compacted. This CANNOT be undone.", change["compacted"])
-    }
 }
 
 fn agreed() -> io::Result<bool> {

@@ -5,6 +5,7 @@
 
 mod report;
 
+use std::fs::File;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -13,13 +14,13 @@ use anyhow::Context;
 use echofix_core::drive::Drive;
 use echofix_harness::process::ServiceProcess;
 use echofix_harness::questions::QuestionPlan;
+use echofix_harness::ranges::within;
 use echofix_harness::replay::{ask, patient_localizer};
 use echofix_harness::summary::FixSummary;
 use echofix_harness::{progress, recording, town, uploading};
 use echofix_sim::{City, CityParams, Route};
 
 use super::localize;
-use super::ranges::within;
 use report::Report;
 
 /// Arguments of `echofix demo`.
@@ -51,6 +52,8 @@ const DAYS_LATER: u32 = 3;
 /// When the service cannot be started or a step of the way fails.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     let began = Instant::now();
+    // What cannot be written is told before half a minute of driving.
+    let out = args.out.as_ref().map(|out| localize::writer(out)).transpose()?;
     let folder = tempfile::tempdir().context("making a folder for the demo's map")?;
     let service = ServiceProcess::start(folder.path(), &[]).await?;
     let city = City::generate(&CityParams { seed: args.seed, ..CityParams::default() })?;
@@ -65,7 +68,7 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
     say(json, &format!("The console: {}", service.http));
     let mapped = map(&args, &city, &service, folder.path(), json).await?;
     let map = service.folded().await?;
-    let summary = localize(&args, &city, &service, json).await?;
+    let summary = localize(&args, &city, &service, (out, json)).await?;
     let report =
         Report { city: &city, args: &args, mapped, map, summary, seconds: began.elapsed().as_secs_f64() };
     report.print(&service, json);
@@ -138,9 +141,8 @@ async fn localize(
     args: &Args,
     city: &City,
     service: &ServiceProcess,
-    json: bool,
+    (out, json): (Option<csv::Writer<File>>, bool),
 ) -> anyhow::Result<FixSummary> {
-    let out = args.out.as_ref().map(|out| localize::writer(out)).transpose()?;
     let drive = simulated(city, DAYS_LATER, "lost".to_owned(), args.seed * 1000 + 999).await??;
     let plan = QuestionPlan::every(args.every_s, args.seed);
     let bar = progress::bar("another vehicle localizes itself", 0, json);

@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use clap::ValueEnum;
-use echofix_client::{drivelog, import};
+use echofix_client::import;
 use echofix_core::drive::Drive;
 use echofix_core::scan::Scan;
 
@@ -17,6 +16,9 @@ pub struct Args {
     from: PathBuf,
     /// The drive log to write: a file whose name ends in .mcap, or a folder of CSV files.
     out: PathBuf,
+    /// Write over what is there.
+    #[arg(long)]
+    force: bool,
 }
 
 /// Data sets that can be read.
@@ -31,13 +33,14 @@ pub enum Dataset {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When the data cannot be read or the log cannot be written.
+/// When something is in the log's place, the data cannot be read or the log cannot be written.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
+    super::keep(&args.out, args.force)?;
     let drive = match args.dataset {
         Dataset::Radiate => import::radiate(&args.from)?,
         Dataset::Comma2k19 => import::comma2k19(&args.from)?,
     };
-    drivelog::write(&args.out, &drive).with_context(|| format!("writing {}", args.out.display()))?;
+    super::write_drive(&args.out, &drive)?;
     report(&drive, &args.out, json);
     Ok(())
 }

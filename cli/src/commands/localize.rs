@@ -14,11 +14,11 @@ use echofix_harness::percentiles::Percentiles;
 use echofix_harness::prior::PriorSigma;
 use echofix_harness::progress;
 use echofix_harness::questions::QuestionPlan;
+use echofix_harness::ranges::within;
 use echofix_harness::replay::{ask, patient_localizer_to};
 use echofix_harness::summary::FixSummary;
 
 use super::ScanRange;
-use super::ranges::within;
 use crate::offline::OfflineLocalizer;
 
 /// Arguments of `echofix localize`.

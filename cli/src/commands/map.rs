@@ -7,13 +7,13 @@ use echofix_client::upload::{RecorderConfig, UploadForm};
 use echofix_core::gate::{Gate, MAX_RANGE_M};
 use echofix_harness::credentials::Credentials;
 use echofix_harness::progress;
+use echofix_harness::ranges::within;
 use echofix_harness::uploading::{Interrupted, Publication, Spooled, UploadedDrive, upload_to};
 use tokio::sync::watch;
 
 use super::ScanRange;
 use super::map_operations::{self, MapOperation};
 use super::publication::{publication, wanted};
-use super::ranges::within;
 use super::status::why_waiting;
 
 /// The operators' words, where they are needed first.
@@ -97,11 +97,12 @@ pub struct Args {
 /// When a log cannot be read or has no known poses, when the service refuses its uploads, or when an operation fails.
 pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::Result<()> {
     if let Some(operation) = args.operation {
-        // The operations block.
-        return tokio::task::block_in_place(|| {
-            let http = credentials.http(args.http.as_deref());
-            map_operations::run(&operation, http, credentials, json)
-        });
+        let (http, credentials) = (args.http, credentials.clone());
+        let operated = move || {
+            let http = credentials.http(http.as_deref());
+            map_operations::run(&operation, http, &credentials, json)
+        };
+        return crate::interruptible(crate::off_the_runtime(operated)).await;
     }
     let gate = Gate { max_range_m: args.max_range_m, ..Gate::default() };
     let config = RecorderConfig {
@@ -125,7 +126,7 @@ pub async fn run(args: Args, credentials: &Credentials, json: bool) -> anyhow::R
                     let error = &super::error_json(&error)["error"];
                     println!("{}", serde_json::json!({ "drive": path, "error": error }));
                 }
-                eprintln!("{}: {error:#}", path.display());
+                eprintln!("{}: {}", path.display(), super::error_words(&error));
                 failed += 1;
             }
         }

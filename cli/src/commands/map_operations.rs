@@ -8,13 +8,15 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use echofix_harness::credentials::Credentials;
+use echofix_harness::ranges::within;
 use echofix_server::store::SharedMap;
 use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Body, SendBody};
 
 use super::decisions::{HowDecided, decide};
-use super::ranges::within;
+use super::map_shown as shown;
+use crate::unfinished::Unfinished;
 
 /// Longest time of an operation: some fold the whole journal again.
 const WITHIN: Duration = Duration::from_hours(1);
@@ -31,6 +33,8 @@ pub enum MapOperation {
     /// Show the uploads that vetting kept out of the map, newest first, and the alarms: where several contributors disagree with
     /// the map alike.
     Quarantine,
+    /// Show the alarms alone: where several contributors disagree with the map alike.
+    Alarms,
     /// Compare the map at two epochs: which tiles and how many cells differ.
     Diff {
         /// The earlier epoch.
@@ -130,31 +134,45 @@ pub fn run(
     let body = match operation {
         MapOperation::History { limit } => {
             let body = port.get(&format!("history?limit={limit}"))?;
-            return show(&body, json, history);
+            return show(&body, json, shown::history);
         }
         MapOperation::Migrate { data_dir, url } => {
-            json!({ "epoch": SharedMap::at(url)?.migrate(data_dir)? })
+            let body = json!({ "epoch": SharedMap::at(url)?.migrate(data_dir)? });
+            return show(&body, json, |body| {
+                println!("the bucket holds the map up to epoch {}", body["epoch"]);
+            });
         }
-        MapOperation::Quarantine => return show(&port.get("quarantine")?, json, quarantine),
+        MapOperation::Quarantine => return show(&port.get("quarantine")?, json, shown::quarantine),
+        MapOperation::Alarms => {
+            let mut body = port.get("quarantine")?;
+            if let Some(parts) = body.as_object_mut() {
+                parts.remove("uploads");
+            }
+            return show(&body, json, shown::alarms);
+        }
         MapOperation::Diff { from, to } => {
             let body = port.get(&format!("diff?from={from}&to={to}"))?;
-            return show(&body, json, diff);
+            return show(&body, json, shown::diff);
         }
         MapOperation::Verify { replay } => {
             // Folding the journal again is work, which no GET starts.
             let body =
                 if *replay { port.post("verify?replay=true", &json!({}))? } else { port.get("verify")? };
-            show(&body, json, |body| println!("{body:#}"))?;
+            show(&body, json, shown::verified)?;
             // Scripts read the exit code.
             ensure!(body["sound"] == true, "the store is damaged");
             return Ok(());
         }
         MapOperation::Export { file, area } => {
             let query = area.as_ref().map(|area| format!("?box={area}")).unwrap_or_default();
-            json!({ "bytes": port.download(&format!("export{query}"), file, 0o644)? })
+            let body = json!({ "bytes": port.download(&format!("export{query}"), file, 0o644)? });
+            return show(&body, json, shown::written);
         }
-        MapOperation::Backup { file } => json!({ "bytes": port.download("backup", file, 0o600)? }),
-        MapOperation::Import { file } => port.import(file)?,
+        MapOperation::Backup { file } => {
+            let body = json!({ "bytes": port.download("backup", file, 0o600)? });
+            return show(&body, json, shown::written);
+        }
+        MapOperation::Import { file } => return show(&port.import(file)?, json, shown::imported),
         MapOperation::Rollback { epoch, how } => decided("rollback", json!({ "epoch": epoch }), how)?,
         MapOperation::Undo { decision, how } => decided("undo", json!({ "decision": decision }), how)?,
         MapOperation::Revoke { contributor: Some(name), how, .. } => {
@@ -166,7 +184,7 @@ pub fn run(
         MapOperation::Revoke { upload, how, .. } => decided("revoke", json!({ "upload": upload }), how)?,
         MapOperation::Compact { before, how } => decided("compact", json!({ "before": before }), how)?,
     };
-    show(&body, json, |body| println!("{body:#}"))
+    show(&body, json, shown::decided)
 }
 
 fn show(body: &Value, json: bool, people: impl FnOnce(&Value)) -> anyhow::Result<()> {
@@ -176,82 +194,6 @@ fn show(body: &Value, json: bool, people: impl FnOnce(&Value)) -> anyhow::Result
         people(body);
     }
     Ok(())
-}
-
-fn history(body: &Value) {
-    for event in body["events"].as_array().into_iter().flatten() {
-        let (first, last, date) =
-            (&event["first"], &event["last"], event["date"].as_str().unwrap_or_default());
-        let kind = event["kind"].as_str().unwrap_or_default().replace('_', " ");
-        let epochs = if first == last { last.to_string() } else { format!("{first}-{last}") };
-        let what = if event["uploads"].is_u64() {
-            format!("{} {kind} of {} contributors", event["uploads"], event["contributors"])
-        } else if event["tiles"].is_u64() {
-            format!("{kind} of {} tiles, file {}", event["tiles"], event["file"].as_str().unwrap_or_default())
-        } else {
-            match &event["of"] {
-                Value::Null => kind,
-                Value::String(of) => format!("{kind} {of}"),
-                of => format!("{kind} {of}"),
-            }
-        };
-        let word = |key: &str| event[key].as_str().map(str::to_owned);
-        let undone = event["undone_by"].as_u64().map(|by| format!("; undone by {by}")).unwrap_or_default();
-        let by = word("by").map(|by| format!("; by {by}")).unwrap_or_default();
-        let why = word("reason").map(|reason| format!("; \"{reason}\"")).unwrap_or_default();
-        let back = [
-            ("taken_back", "taken back"),
-            ("takes_back", "taken back by it"),
-            ("gives_back", "given back by it"),
-        ];
-        let back = back.iter().find_map(|(key, words)| Some((event[*key].as_u64()?, words)));
-        let back = back.filter(|(count, _)| *count > 0).map(|(count, words)| format!("; {count} {words}"));
-        println!("{epochs:>15}  {date}  {what}{}{by}{why}{undone}", back.unwrap_or_default());
-    }
-}
-
-fn quarantine(body: &Value) {
-    println!("{} uploads are in quarantine", body["quarantined"]);
-    let place = |of: &Value| match (of["place"]["lat"].as_f64(), of["place"]["lon"].as_f64()) {
-        (Some(lat), Some(lon)) => format!("{lat:.6} {lon:.6}"),
-        _ => "at an unknown place".to_owned(),
-    };
-    let offset = |of: &Value| match (of["offset"]["east_m"].as_f64(), of["offset"]["north_m"].as_f64()) {
-        (Some(east), Some(north)) => format!("{east:+.2} m east, {north:+.2} m north"),
-        _ => String::new(),
-    };
-    for upload in body["uploads"].as_array().into_iter().flatten() {
-        let word = |key: &str| upload[key].as_str().unwrap_or_default().to_lowercase();
-        let epoch = upload["epoch"].to_string();
-        println!(
-            "{epoch:>9}  {}  {:<10} {}  {}  upload {} of contributor {}",
-            word("date"),
-            word("reason"),
-            place(upload),
-            offset(upload),
-            upload["upload_id"].as_str().unwrap_or("(compacted)"),
-            word("contributor"),
-        );
-    }
-    for alarm in body["alarms"].as_array().into_iter().flatten() {
-        let since = alarm["since"].as_str().unwrap_or_default();
-        let by =
-            if alarm["kind"] == "SHIFT" { offset(alarm) } else { "something else than the map".to_owned() };
-        println!(
-            "ALARM: {} contributors agree at {} since {since}: {by}",
-            alarm["contributors"],
-            place(alarm)
-        );
-    }
-}
-
-fn diff(body: &Value) {
-    let cells =
-        |of: &Value| format!("{} added, {} removed, {} changed", of["added"], of["removed"], of["changed"]);
-    println!("{} tiles differ; cells: {}", body["tiles_changed"], cells(&body["cells"]));
-    for tile in body["tiles"].as_array().into_iter().flatten() {
-        println!("  {}: {}", tile["id"].as_str().unwrap_or_default(), cells(tile));
-    }
 }
 
 /// The service's HTTP port, which serves operators.
@@ -290,15 +232,15 @@ impl OperatorsPort {
         let writing = || format!("cannot write {}", file.display());
         let mut out =
             OpenOptions::new().create_new(true).write(true).mode(mode).open(file).with_context(writing)?;
+        // Nobody shall take a part for the whole.
+        let begun = Unfinished::begin(file);
         let copied = io::copy(&mut answer.body_mut().as_reader(), &mut out).and_then(|bytes| {
             out.sync_all()?;
             Ok(bytes)
         });
-        if copied.is_err() {
-            // Nobody shall take a part for the whole.
-            let _ = std::fs::remove_file(file);
-        }
-        copied.with_context(|| format!("{url} did not send all of it to {}", file.display()))
+        let bytes = copied.with_context(|| format!("{url} did not send all of it to {}", file.display()))?;
+        begun.finish();
+        Ok(bytes)
     }
 }
 

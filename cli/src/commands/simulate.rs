@@ -2,12 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
-use echofix_client::drivelog;
+use echofix_harness::ranges::within;
 use echofix_harness::town;
 use echofix_sim::{City, CityParams, Route};
-
-use super::ranges::within;
 
 /// Arguments of `echofix simulate`.
 #[derive(clap::Args)]
@@ -39,16 +36,14 @@ pub struct Args {
 /// # Errors
 /// When the town cannot be made, something is in the log's place, or the log cannot be written.
 pub fn run(args: &Args, json: bool) -> anyhow::Result<()> {
-    let taken =
-        args.out.is_file() || std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
-    anyhow::ensure!(!taken || args.force, "{} is there already; --force writes over it", args.out.display());
+    super::keep(&args.out, args.force)?;
     let city = City::generate(&CityParams { seed: args.city, ..CityParams::default() })?;
     let route = match args.wander_m {
         Some(length_m) => Route::wander(&city, args.seed, length_m),
         None => Route::survey(&city, args.seed),
     };
     let drive = town::drive(&city, args.day, &route, args.vehicle.clone(), args.seed)?;
-    drivelog::write(&args.out, &drive).with_context(|| format!("writing {}", args.out.display()))?;
+    super::write_drive(&args.out, &drive)?;
     super::import::report(&drive, &args.out, json);
     Ok(())
 }

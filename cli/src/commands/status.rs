@@ -4,6 +4,8 @@ use echofix_harness::credentials::Credentials;
 use echofix_harness::http::get_json_as;
 use serde_json::Value;
 
+use super::map_shown::alarms_of;
+
 /// Arguments of `echofix status`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -25,10 +27,13 @@ pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result
     let map = if args.ready { Value::Null } else { get_json_as(credentials, http, "/api/v1/map")? };
     let reason = map["error"]["message"].as_str().unwrap_or_default();
     anyhow::ensure!(map["error"].is_null(), "the service refuses: {reason}");
+    let quarantine = if args.ready { Value::Null } else { kept_out(credentials, http)? };
     if json {
-        println!("{}", serde_json::json!({ "readiness": ready, "map": map }));
+        let told = serde_json::json!({ "readiness": ready, "map": map, "quarantine": quarantine });
+        println!("{told}");
     } else {
         print_status(&ready, &map);
+        print_kept_out(&quarantine);
     }
     // Scripts and health checks read the exit code.
     anyhow::ensure!(
@@ -37,6 +42,22 @@ pub fn run(args: &Args, credentials: &Credentials, json: bool) -> anyhow::Result
         ready["reason"].as_str().unwrap_or("no reason given")
     );
     Ok(())
+}
+
+/// How many uploads are in quarantine, and the alarms; null while the map is made anew, when nobody can say.
+fn kept_out(credentials: &Credentials, http: &str) -> anyhow::Result<Value> {
+    let mut quarantine = get_json_as(credentials, http, "/api/v1/map/quarantine")?;
+    if let Some(parts) = quarantine.as_object_mut() {
+        parts.remove("uploads");
+    }
+    Ok(if quarantine["error"].is_null() { quarantine } else { Value::Null })
+}
+
+fn print_kept_out(quarantine: &Value) {
+    if let Some(count) = quarantine["quarantined"].as_u64().filter(|count| *count > 0) {
+        println!("{:<20} {count:>12}   see `echofix map quarantine`", "in quarantine");
+    }
+    alarms_of(quarantine).for_each(|line| println!("{line}"));
 }
 
 fn print_status(ready: &Value, map: &Value) {

@@ -5,9 +5,8 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use echofix_client::tiles::{Synced, TileCache, TileCacheLimits, Want};
 use echofix_harness::credentials::Credentials;
+use echofix_harness::ranges::within;
 use echofix_proto::v1::GeodeticBox;
-
-use super::ranges::within;
 
 /// Arguments of `echofix tiles`.
 #[derive(clap::Args)]
@@ -82,6 +81,15 @@ fn area(text: &str) -> anyhow::Result<GeodeticBox> {
         text.split(',').map(|part| part.trim().parse()).collect::<Result<_, _>>().context(expected)?;
     ensure!(degrees.len() == 4, expected);
     let [west_deg, south_deg, east_deg, north_deg] = [degrees[0], degrees[1], degrees[2], degrees[3]];
+    for (name, value, most) in [
+        ("west", west_deg, 180.0),
+        ("south", south_deg, 90.0),
+        ("east", east_deg, 180.0),
+        ("north", north_deg, 90.0),
+    ] {
+        ensure!(value.abs() <= most, "{name} is {value}; it must lie within -{most} and {most} degrees");
+    }
+    ensure!(south_deg <= north_deg, "south, {south_deg}, lies north of north, {north_deg}");
     Ok(GeodeticBox { south_deg, west_deg, north_deg, east_deg })
 }
 
@@ -96,5 +104,14 @@ mod tests {
         for text in ["", "1,2,3", "1,2,3,4,5", "a,b,c,d"] {
             assert!(area(text).unwrap_err().to_string().contains("west,south"), "{text}");
         }
+        for (text, words) in [
+            ("nan,0,1,1", "west is NaN"),
+            ("0,0,1,91", "north is 91; it must lie within -90 and 90"),
+            ("181,0,1,1", "west is 181"),
+            ("0,2,1,1", "south, 2, lies north"),
+        ] {
+            assert!(area(text).unwrap_err().to_string().contains(words), "{text}");
+        }
+        assert!(area("179,-18,-179,-17").is_ok(), "across the date line");
     }
 }

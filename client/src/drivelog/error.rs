@@ -98,6 +98,19 @@ pub(super) fn check_pose(pose: &GeoPose) -> Result<(), Problem> {
     }
 }
 
+/// How far two poses are from each other, metres, roughly.
+pub(super) fn apart_m(a: &GeoPose, b: &GeoPose) -> f64 {
+    const METRES_PER_DEG: f64 = 111_195.0;
+    let east_deg = (b.at.lon_deg - a.at.lon_deg + 180.0).rem_euclid(360.0) - 180.0;
+    let narrowed = a.at.lat_deg.to_radians().cos();
+    METRES_PER_DEG * (b.at.lat_deg - a.at.lat_deg).hypot(narrowed * east_deg)
+}
+
+/// Where receivers say that they are when they know no place.
+pub(super) fn is_nowhere(pose: &GeoPose) -> bool {
+    pose.at == LatLon { lat_deg: 0.0, lon_deg: 0.0 }
+}
+
 pub(super) fn is_finite(pose: &GeoPose) -> bool {
     [pose.at.lat_deg, pose.at.lon_deg, pose.yaw_rad, pose.sigma_position_m, pose.sigma_yaw_rad]
         .iter()

@@ -15,6 +15,8 @@ mod error;
 mod file;
 #[cfg(any(feature = "mcap", feature = "csv"))]
 mod flaws;
+#[cfg(any(feature = "mcap", feature = "csv"))]
+mod jumps;
 #[cfg(feature = "mcap")]
 mod mcap;
 #[cfg(any(feature = "mcap", feature = "csv"))]

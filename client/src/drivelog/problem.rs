@@ -44,6 +44,12 @@ pub enum Problem {
         /// The sensor whose row was expected.
         expected: usize,
     },
+    /// A sensor has two places.
+    #[error("sensor {sensor} stands there twice, with different values; keep the one that is right")]
+    TwoMounts {
+        /// The sensor.
+        sensor: usize,
+    },
     /// A scan names a sensor that the drive does not have.
     #[error("sensor {sensor} is not in sensors.csv, which has {sensors}")]
     UnknownSensor {
@@ -114,6 +120,9 @@ pub enum Problem {
         /// Bytes of the message.
         bytes: u64,
     },
+    /// A pose that no vehicle can have between those before and after it.
+    #[error("it lies elsewhere than the poses around it, farther than anybody drives in that time")]
+    Elsewhere,
     /// Not a position on the globe.
     #[error("latitude {lat_deg}, longitude {lon_deg} is not a position in degrees")]
     NotAPosition {
@@ -138,7 +147,7 @@ pub enum Problem {
 
 impl Problem {
     /// The kind of problem as one word, the same in every version: `unreadable`, `not_finite`, `out_of_range`, `incomplete`,
-    /// `doubled`, `out_of_order`, `unknown_sensor`, `cut_off` or `damaged`.
+    /// `doubled`, `out_of_order`, `elsewhere`, `unknown_sensor`, `cut_off` or `damaged`.
     #[must_use]
     pub fn reason(&self) -> &'static str {
         match self {
@@ -148,6 +157,7 @@ impl Problem {
             | Self::Unparsable(_)
             | Self::Undecodable(_)
             | Self::SensorOrder { .. }
+            | Self::TwoMounts { .. }
             | Self::TooLarge { .. } => "unreadable",
             Self::UnknownSensor { .. } => "unknown_sensor",
             Self::HalfADetection | Self::PartialColumn { .. } => "incomplete",
@@ -161,6 +171,7 @@ impl Problem {
             | Self::NotATime { .. } => "out_of_range",
             Self::Doubled => "doubled",
             Self::OutOfOrder { .. } => "out_of_order",
+            Self::Elsewhere => "elsewhere",
             Self::CutOff(_) => "cut_off",
             Self::DamagedChunk { .. } => "damaged",
         }

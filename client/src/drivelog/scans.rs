@@ -5,6 +5,7 @@ use std::f32::consts::FRAC_PI_2;
 
 use echofix_core::scan::Scan;
 
+use super::order::{longest_increasing, without_the_lonely};
 use super::{Flaws, Problem};
 
 /// In a column of time offsets: not given. (In columns of numbers NaN says so.)
@@ -23,26 +24,21 @@ impl ReadScans<'_> {
             make_whole(scan, |problem| flaws.skip(self.part, *place, problem));
         }
         if !self.scans.is_sorted_by_key(|(scan, _)| scan.time_us) {
-            let of = |scan: &Scan| (scan.sensor, scan.time_us);
-            let mut newest = HashMap::new();
-            let late = self.scans.iter().filter(|(scan, _)| {
-                let (sensor, time_us) = of(scan);
-                let newest = newest.entry(sensor).or_insert(time_us);
-                let late = time_us < *newest;
-                *newest = time_us.max(*newest);
-                late
-            });
-            let late = late.count();
+            let late = self.out_of_place();
             if late > 0 {
                 flaws.note(format!(
-                    "{}: {late} scans stood after newer ones of their radar; put in order",
+                    "{}: {late} scans stood at another place than in time; put in order",
                     self.part
                 ));
             }
             self.scans.sort_by_key(|(scan, _)| scan.time_us);
         }
-        let mut scans: Vec<Scan> = Vec::with_capacity(self.scans.len());
-        for (scan, place) in self.scans {
+        let times: Vec<i64> = self.scans.iter().map(|(scan, _)| scan.time_us).collect();
+        let ordered = without_the_lonely(self.scans, &times, |(scan, place), before_us| {
+            flaws.skip(self.part, *place, &Problem::OutOfOrder { time_us: scan.time_us, before_us });
+        });
+        let mut scans: Vec<Scan> = Vec::with_capacity(ordered.len());
+        for (scan, place) in ordered {
             let of_its_time = scans.iter().rev().take_while(|other| other.time_us == scan.time_us);
             if of_its_time.into_iter().any(|other| *other == scan) {
                 flaws.skip(self.part, place, &Problem::Doubled);
@@ -51,6 +47,18 @@ impl ReadScans<'_> {
             }
         }
         scans
+    }
+
+    /// How many scans would have to be moved so that each radar's stand in order.
+    fn out_of_place(&self) -> usize {
+        let mut of_radar: HashMap<usize, Vec<(i64, usize)>> = HashMap::new();
+        for (number, (scan, _)) in self.scans.iter().enumerate() {
+            of_radar.entry(scan.sensor).or_default().push((scan.time_us, number));
+        }
+        let in_place = of_radar
+            .values()
+            .map(|times| longest_increasing(times).into_iter().filter(|stays| *stays).count());
+        self.scans.len() - in_place.sum::<usize>()
     }
 }
 

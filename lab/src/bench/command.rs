@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 
-use super::{BenchPlan, page, run as measure, stress};
+use super::{BenchPlan, page, run as measure, stress, waits};
 use crate::report;
 
 /// Arguments of `echofix bench`.
@@ -19,6 +19,9 @@ pub struct Args {
     /// Measure a fix beside all else that the service does, and a service that is offered more than it can do.
     #[arg(long)]
     stress: bool,
+    /// Measure what people wait for: the demo's first answer, the console's page, tiles, a history of 100 000 uploads.
+    #[arg(long, conflicts_with = "stress")]
+    waits: bool,
     /// With `--stress`: the command whose service is measured, to compare versions; this one by default.
     #[arg(long, value_name = "PATH", requires = "stress")]
     program: Option<PathBuf>,
@@ -32,7 +35,7 @@ pub struct Args {
 /// # Errors
 /// When a step fails, or the fixes are so bad that their cost means nothing.
 pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
-    let Args { seed, quick, stress, program, write } = args;
+    let Args { seed, quick, stress, waits, program, write } = args;
     let plan = if quick { BenchPlan::quick(seed) } else { BenchPlan::full(seed) };
     let folder = tempfile::tempdir().context("making a folder for the map")?;
     let say = |text: &str| {
@@ -47,6 +50,11 @@ pub async fn run(args: Args, json: bool) -> anyhow::Result<()> {
         let figures = stress::run(&plan, &subject, &say).await?;
         let command = format!("echofix bench --stress{quick} --seed {seed}");
         ("stress", stress::page(&figures, &command), serde_json::to_string(&figures)?)
+    } else if waits {
+        let program = std::env::current_exe()?;
+        let figures = waits::run(&plan, (&program, folder.path()), &say).await?;
+        let command = format!("echofix bench --waits{quick} --seed {seed}");
+        ("waits", waits::page(&figures, &command), serde_json::to_string(&figures)?)
     } else {
         let figures = measure(plan, folder.path(), &say).await?;
         let command = format!("echofix bench{quick} --seed {seed}");

@@ -9,6 +9,7 @@
 //! - [`lengths`]: a request by the length of its batch.
 //! - [`lost`]: the cost and the success of relocalization.
 //! - [`stress`]: a fix beside all else, and more than the service can do.
+//! - [`waits`]: what people wait for.
 //! - [`mod@page`]: the figures as a page.
 //!
 //! The service is a process of its own, so that its processor time and memory do not contain those of the clients.
@@ -25,6 +26,7 @@ mod page;
 mod sizes;
 mod stress;
 mod town;
+mod waits;
 
 use std::path::Path;
 use std::time::Duration;
@@ -72,6 +74,8 @@ struct BenchPlan {
     pub sized: usize,
     /// Number of requests of lost vehicles.
     pub lost: usize,
+    /// Uploads of the history that is looked at with `--waits`.
+    pub history: u64,
 }
 
 impl BenchPlan {
@@ -90,6 +94,7 @@ impl BenchPlan {
             cells: vec![8_000, 20_000, 50_000, 100_000],
             sized: 3,
             lost: 120,
+            history: 100_000,
         }
     }
 
@@ -108,6 +113,7 @@ impl BenchPlan {
             cells: vec![8_000, 50_000],
             sized: 1,
             lost: 6,
+            history: 1_000,
         }
     }
 }

@@ -18,6 +18,7 @@ use super::worlds::Worlds;
 use super::{crowd, sanity, sections, summary};
 use crate::report;
 use echofix_harness::progress;
+use echofix_harness::ranges::within;
 use echofix_sim::Family;
 
 /// Arguments of `echofix evaluate`.
@@ -30,16 +31,16 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "21,22,23,24,25,26,27,28")]
     world_seeds: Vec<u64>,
     /// Largest number of epochs in a world. At each epoch every method localizes the batch that ends there.
-    #[arg(long, default_value_t = 300)]
+    #[arg(long, default_value_t = 300, value_parser = within(1..=1_000_000_usize))]
     epochs_per_world: usize,
     /// Number of these epochs at which all conditions are evaluated, and not only those of the headline.
-    #[arg(long, default_value_t = 60)]
+    #[arg(long, default_value_t = 60, value_parser = within(1..=1_000_000_usize))]
     swept_per_world: usize,
     /// Time between epochs, seconds of driving. Without it 1; of the drives of --drives the length of a batch.
-    #[arg(long)]
+    #[arg(long, value_parser = within(0.001..=86_400.0))]
     every_s: Option<f64>,
     /// Random priors at each epoch.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = within(1..=100_000_usize))]
     priors: usize,
     /// Seed of the priors and of the odometry's drift.
     #[arg(long, default_value_t = 1)]
@@ -51,7 +52,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "paper,echofix")]
     methods: Vec<MethodName>,
     /// Numbers of contributors to the maps of the experiment `crowd`.
-    #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20")]
+    #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,20", value_parser = within(1..=1000_usize))]
     crowds: Vec<usize>,
     /// Localize this drive log instead of simulated drives. Needs --map.
     #[arg(long, requires = "map", group = "logs")]
@@ -63,10 +64,10 @@ pub struct Args {
     #[arg(long, requires = "drive")]
     known_odometry: bool,
     /// Largest standard deviation of a reference pose, metres. Less certain poses add nothing to the map.
-    #[arg(long, default_value_t = 0.3)]
+    #[arg(long, default_value_t = 0.3, value_parser = within(0.001..=100.0))]
     max_sigma_m: f64,
     /// Memory for prepared map windows, mebibytes.
-    #[arg(long, default_value_t = 1024)]
+    #[arg(long, default_value_t = 1024, value_parser = within(1..=1_048_576_u64))]
     windows_mib: u64,
     /// Families of worlds of the experiment `trust`; all of them without it.
     #[arg(long, value_delimiter = ',', value_parser = trust::family)]

@@ -220,6 +220,33 @@ mod tests {
         assert_eq!(restored.status(), StatusCode::OK);
     }
 
+    /// Breaks it: naming pictures by the versions of their tiles alone, which do not know that another tile's later day lets them fade.
+    #[tokio::test]
+    async fn pictures_follow_the_newest_day_of_the_map() {
+        let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);
+        let paths: Vec<_> = ["evidence", "coverage", "age", "localizability"]
+            .map(|layer| format!("/tiles/{layer}/{}.png", tile_and_pixel(18, 7).0))
+            .into();
+        let tag = async |path: &String| site.get(path).await.headers()["etag"].to_str().unwrap().to_owned();
+        let mut before = Vec::new();
+        for path in &paths {
+            before.push(tag(path).await);
+            assert_eq!(tag(path).await, before[before.len() - 1], "{path}");
+        }
+        let far = TileId { x: austin().x + 100, ..austin() };
+        let later = echofix_core::tile::Cell {
+            hits: 2,
+            passes: 1,
+            contributors: 1,
+            last_day: 60_000,
+            ..Default::default()
+        };
+        site.store.put(far, echofix_core::tile::Tile::from_cells(vec![(7, later)]).unwrap());
+        for (path, before) in paths.iter().zip(before) {
+            assert_ne!(tag(path).await, before, "{path}");
+        }
+    }
+
     #[tokio::test]
     async fn no_far_view_decodes_tiles_and_no_near_one_twice() {
         let site = TestSite::with_tiles(&[(austin(), &[(7, 5)])]);

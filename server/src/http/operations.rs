@@ -1,5 +1,6 @@
 //! The map's history, how maps of two epochs differ, and whether what is stored is sound.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use axum::Json;
@@ -64,19 +65,25 @@ pub async fn history(
         return Err(Error::BadRequest(format!("limit must lie within 1 and {MAX_EVENTS}")));
     }
     let operations = Arc::clone(&app.state.operations);
-    // It is read from memory: no operation that folds the map is waited for.
-    let found = app.limiter.work(peer, move || Ok((operations.history(limit), operations.epochs())));
-    let (events, (oldest, newest)) = found.await?;
+    // No operation that folds the map is waited for.
+    let found = app.limiter.work(peer, move || {
+        let kept_out = operations.quarantined().ok();
+        let kept_out = kept_out.map(|kept_out| kept_out.iter().map(|record| record.number).collect());
+        Ok((operations.history(limit), operations.epochs(), kept_out))
+    });
+    let (events, (oldest, newest), kept_out) = found.await?;
     let names = caller.may(Role::Operator);
-    let events = events.into_iter().map(|told| event(told, names)).collect();
+    let events = events.into_iter().map(|told| event(told, names, kept_out.as_ref())).collect();
     Ok(fresh(HistoryAnswer { events, oldest, newest }))
 }
 
-/// An event, with the contributor's hash where it `names` one.
-fn event(event: HistoryEvent, names: bool) -> EventAnswer {
+/// An event, with the contributor's hash where it `names` one, when the records of the numbers of `kept_out` are in quarantine.
+fn event(event: HistoryEvent, names: bool, kept_out: Option<&BTreeSet<u64>>) -> EventAnswer {
     let what = match event.what {
         EventKind::Uploads { uploads, contributors, taken_back } => {
-            Happened::Uploads { uploads, contributors, taken_back }
+            let quarantined =
+                kept_out.map(|kept_out| kept_out.range(event.first..=event.last).count() as u64);
+            Happened::Uploads { uploads, contributors, taken_back, quarantined }
         }
         EventKind::Import { file, tiles, taken_back } => {
             Happened::Import { file: file.to_string(), tiles, taken_back }

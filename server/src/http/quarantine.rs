@@ -118,8 +118,14 @@ pub fn alarm_message(
     message["count"] = message["contributors"].take();
     message["contributors"] = json!(near);
     message["service"] = json!("echofix");
-    message["link"] = (!console.is_empty()).then(|| format!("{}/", console.trim_end_matches('/'))).into();
+    message["link"] = (!console.is_empty()).then(|| link(console, place(alarm.zone, alarm.position))).into();
     message
+}
+
+/// Where the console shows a place.
+fn link(console: &str, at: Option<Place>) -> String {
+    let view = at.map(|at| format!("#view=18/{:.6}/{:.6}", at.lat, at.lon)).unwrap_or_default();
+    format!("{}/{view}", console.trim_end_matches('/'))
 }
 
 fn map_offset(offset: &Offset) -> MapOffset {

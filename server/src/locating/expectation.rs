@@ -90,6 +90,7 @@ pub struct Expectations {
     tiles: PreparedTiles,
     known: Cache<ExpectationKey, Arc<TileExpectation>>,
     assessor: Mutex<Assessor>,
+    judged: String,
 }
 
 impl Expectations {
@@ -98,14 +99,22 @@ impl Expectations {
     pub fn new(store: Arc<dyn MapStore>, search: Search, integrity: Integrity) -> Self {
         // From any of its spots, no more than the tile and its neighbours is needed.
         let most_m = TILE_M + 0.5 * SPOT_M - REACH_M;
+        let search = Search { extent_m: search.extent_m.min(most_m), ..search };
         Self {
             store,
-            search: Search { extent_m: search.extent_m.min(most_m), ..search },
+            judged: format!("{search:?} {integrity:?}"),
+            search,
             integrity,
             tiles: PreparedTiles::new(TILE_CACHE_MIB),
             known: Cache::new(CACHED_TILES),
             assessor: Mutex::default(),
         }
+    }
+
+    /// How fixes are searched and judged, in a text that is equal where that is.
+    #[must_use]
+    pub fn judged(&self) -> &str {
+        &self.judged
     }
 
     /// The same questions to another map.

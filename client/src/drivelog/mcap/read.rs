@@ -12,7 +12,8 @@ use echofix_core::scan::{self, Mount, Scan};
 use mcap::records::Record;
 use prost::Message;
 
-use super::super::error::{Error, check_pose, io_error};
+use super::super::error::{Error, apart_m, check_pose, io_error, is_nowhere};
+use super::super::jumps::without_jumps;
 use super::super::order::in_order;
 use super::super::scans::ReadScans;
 use super::super::{DriveLog, Flaws, Problem};
@@ -116,8 +117,8 @@ impl LogReader {
 
     fn finish(mut self, path: &Path) -> Result<DriveLog, Error> {
         let Some(metadata) = self.metadata.take() else { return Err(self.without_metadata(path)) };
-        let mounts =
-            mounts(&metadata).map_err(|problem| Error::NotADrive { path: path.to_owned(), problem })?;
+        let mounts = mounts(&metadata, !self.scans.is_empty())
+            .map_err(|problem| Error::NotADrive { path: path.to_owned(), problem })?;
         let mut flaws = self.flaws;
         let sensors = mounts.len();
         self.scans.retain(|(scan, number)| {
@@ -129,12 +130,16 @@ impl LogReader {
             known
         });
         let mut odometry = Trajectory::default();
-        for (time_us, pose) in in_order(self.odometry, topic::ODOMETRY, &mut flaws) {
+        let poses = in_order(self.odometry, topic::ODOMETRY, &mut flaws);
+        let metres = |a: &Pose2, b: &Pose2| a.distance_m(b);
+        for (time_us, pose) in without_jumps(poses, topic::ODOMETRY, &mut flaws, metres, |_| false) {
             let unusable = |problem: Problem| Error::Unusable { path: path.to_owned(), problem };
             odometry.push(time_us, pose).map_err(|e| unusable(e.into()))?;
         }
         let mut poses = |poses, topic| -> Vec<GeoPose> {
-            in_order(poses, topic, &mut flaws).into_iter().map(|(_, pose)| pose).collect()
+            let poses = in_order(poses, topic, &mut flaws);
+            let kept = without_jumps(poses, topic, &mut flaws, apart_m, is_nowhere);
+            kept.into_iter().map(|(_, pose)| pose).collect()
         };
         let (reference, truth) = (poses(self.reference, topic::REFERENCE), poses(self.truth, topic::TRUTH));
         let scans = ReadScans { part: topic::SCANS, scans: self.scans }.finish(&mut flaws);
@@ -183,18 +188,28 @@ fn geodetic(number: u64, data: &[u8]) -> Result<(i64, u64, GeoPose), Problem> {
     Ok((pose.time_us, number, pose))
 }
 
-fn mounts(metadata: &BTreeMap<String, String>) -> Result<Vec<Mount>, String> {
-    let texts = (0..).map_while(|i| metadata.get(&format!("sensor.{i}"))).enumerate();
+/// The radars, of which there must be some where there are scans.
+fn mounts(metadata: &BTreeMap<String, String>, are_needed: bool) -> Result<Vec<Mount>, String> {
+    let texts: Vec<_> = (0..).map_while(|i| metadata.get(&format!("sensor.{i}"))).collect();
+    let named = metadata.keys().filter(|key| key.starts_with("sensor.")).count();
+    if texts.len() < named.max(usize::from(are_needed)) {
+        return Err(format!(
+            "the metadata record `{}` has no `sensor.{}`; radars count from 0, each with `x_m y_m yaw_rad`",
+            topic::DRIVE,
+            texts.len()
+        ));
+    }
     let mount = |(i, text): (usize, &String)| {
         parse_mount(text).ok_or_else(|| {
             format!("`sensor.{i}` is `{text}`; expected x_m, y_m and yaw_rad with spaces between")
         })
     };
-    texts.map(mount).collect()
+    texts.into_iter().enumerate().map(mount).collect()
 }
 
 fn parse_mount(text: &str) -> Option<Mount> {
-    let mut numbers = text.split(' ').map(|n| n.parse::<f64>().ok().filter(|v| v.is_finite()));
+    let texts = text.split(|c: char| c.is_whitespace() || c == ',').filter(|text| !text.is_empty());
+    let mut numbers = texts.map(|n| n.parse::<f64>().ok().filter(|v| v.is_finite()));
     let (x, y, yaw) = (numbers.next()??, numbers.next()??, numbers.next()??);
     numbers.next().is_none().then(|| Pose2::new(x, y, yaw))
 }

@@ -17,6 +17,8 @@ const TIMES: [(&str, TimeUnit); 3] =
 /// Where the columns of a part of a log stand in a file.
 pub(super) struct Columns {
     names: &'static [&'static str],
+    /// Cells of the header.
+    cells: usize,
     at: Vec<Option<usize>>,
     /// The unit that the header states.
     pub stated: Option<TimeUnit>,
@@ -30,7 +32,15 @@ impl Columns {
         names: &'static [&'static str],
         required: usize,
     ) -> Result<Self, Problem> {
-        let position = |name: &str| header.iter().position(|cell| bare(cell) == name);
+        if header.len() == 1
+            && let Some(separator) = [';', '\t', '|'].into_iter().find(|c| header[0].contains(*c))
+        {
+            let told = format!(
+                "its cells are separated by {separator:?}; separate them by commas, with points in numbers"
+            );
+            return Err(Problem::Unparsable(told));
+        }
+        let position = |name: &str| header.iter().position(|cell| bare(cell).eq_ignore_ascii_case(name));
         let mut stated = None;
         let mut at: Vec<Option<usize>> = names.iter().map(|name| position(name)).collect();
         if let (Some(TIME), Some(None)) = (names.first().copied(), at.first())
@@ -43,7 +53,7 @@ impl Columns {
                 column: names[missing].to_owned(),
                 expected: names[..required].join(","),
             }),
-            None => Ok(Self { names, at, stated, unit: stated.unwrap_or_default() }),
+            None => Ok(Self { names, cells: header.len(), at, stated, unit: stated.unwrap_or_default() }),
         }
     }
 }
@@ -55,6 +65,16 @@ pub(super) struct Cells<'a> {
 }
 
 impl Cells<'_> {
+    /// As many cells as the header has, but for empty ones at the end, which some writers add.
+    pub(super) fn fit(&self) -> Result<(), Problem> {
+        let (found, expected) = (self.record.len(), self.columns.cells);
+        let more_are_empty = self.record.iter().skip(expected).all(|cell| bare(cell).is_empty());
+        if found < expected || !more_are_empty {
+            return Err(Problem::FieldCount { found: found as u64, expected: expected as u64 });
+        }
+        Ok(())
+    }
+
     fn text(&self, column: usize) -> &str {
         let cell = self.columns.at[column].and_then(|at| self.record.get(at));
         bare(cell.unwrap_or_default())
@@ -64,6 +84,14 @@ impl Cells<'_> {
     pub(super) fn number<T: FromStr<Err: Display>>(&self, column: usize) -> Result<T, Problem> {
         let text = self.text(column);
         text.parse().map_err(|error: T::Err| self.refused(column, error))
+    }
+
+    /// A whole number, also as writers put it that know only fractions: `2.0`.
+    pub(super) fn index(&self, column: usize) -> Result<usize, Problem> {
+        let text = self.text(column);
+        let whole = text.split_once('.').filter(|(_, rest)| rest.bytes().all(|digit| digit == b'0'));
+        let text = whole.map_or(text, |(whole, _)| whole);
+        text.parse().map_err(|error| self.refused(column, error))
     }
 
     /// A number, or `None` where nothing stands.

@@ -1,5 +1,6 @@
 //! Reading a drive from a folder.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use echofix_core::drive::{Drive, GeoPose};
@@ -8,7 +9,8 @@ use echofix_core::odometry::Trajectory;
 use echofix_core::pose::Pose2;
 use echofix_core::scan::Mount;
 
-use super::super::error::{Error, check_pose};
+use super::super::error::{Error, apart_m, check_pose, is_nowhere};
+use super::super::jumps::without_jumps;
 use super::super::order::in_order;
 use super::super::{DriveLog, Flaws, Problem};
 use super::table::Table;
@@ -19,8 +21,8 @@ pub(in super::super) fn read(folder: &Path) -> Result<DriveLog, Error> {
         |name| Table::find(folder, name)?.ok_or_else(|| Error::NotADriveLog { path: folder.to_owned() });
     let (sensors, scans, odometry) =
         (required("sensors.csv")?, required("scans.csv")?, required("odometry.csv")?);
-    let mounts = mounts(&sensors)?;
     let mut flaws = Flaws::default();
+    let mounts = mounts(&sensors, &mut flaws)?;
     let drive = Drive {
         vehicle: vehicle(folder)?,
         scans: scans::read(&scans, mounts.len(), &mut flaws)?,
@@ -43,21 +45,42 @@ fn vehicle(folder: &Path) -> Result<String, Error> {
     Ok(vehicle)
 }
 
-/// All of the sensors, or none: what a scan says of them is their number.
-fn mounts(table: &Table) -> Result<Vec<Mount>, Error> {
-    let mut mounts = Vec::new();
-    table.rows(&super::SENSORS, |row: row::SensorRow| {
-        if row.index != mounts.len() {
-            return Err(Problem::SensorOrder { expected: mounts.len() });
-        }
-        let mount = Pose2::new(row.x_m, row.y_m, row.yaw_rad);
+/// The sensors by their numbers, from 0 without a gap, in whatever order they stand. What a scan says of them is their number: of two
+/// places for one none is taken for the right one.
+fn mounts(table: &Table, flaws: &mut Flaws) -> Result<Vec<Mount>, Error> {
+    let mut mounts: BTreeMap<usize, Mount> = BTreeMap::new();
+    let mut twice = None;
+    table.records(&super::SENSORS, 4, flaws, |cells, _| {
+        let sensor = cells.index(0)?;
+        let mount = Pose2::new(cells.number(1)?, cells.number(2)?, cells.number(3)?);
         if !mount.is_finite() {
             return Err(Problem::NotFinite);
         }
-        mounts.push(mount);
-        Ok(())
+        match mounts.insert(sensor, mount) {
+            None => Ok(()),
+            Some(before) => {
+                twice = twice.or((before != mount).then_some(sensor));
+                Err(Problem::Doubled)
+            }
+        }
     })?;
-    Ok(mounts)
+    let unusable = |problem| Error::Unusable { path: table.path(), problem };
+    if let Some(sensor) = twice {
+        return Err(unusable(Problem::TwoMounts { sensor }));
+    }
+    let missing = (0..mounts.len()).find(|sensor| !mounts.contains_key(sensor));
+    let Some(expected) = missing else { return Ok(mounts.into_values().collect()) };
+    // The row that cannot be read is the one that is missing.
+    let bad =
+        flaws.skipped.iter().find(|skipped| skipped.part == table.name() && skipped.reason != "doubled");
+    Err(match bad {
+        Some(bad) => Error::Row {
+            path: table.path(),
+            line: bad.first,
+            problem: Problem::Unparsable(bad.problem.clone()),
+        },
+        None => unusable(Problem::SensorOrder { expected }),
+    })
 }
 
 fn odometry(table: &Table, flaws: &mut Flaws) -> Result<Trajectory, Error> {
@@ -71,7 +94,9 @@ fn odometry(table: &Table, flaws: &mut Flaws) -> Result<Trajectory, Error> {
         Ok(())
     })?;
     let mut odometry = Trajectory::default();
-    for (time_us, pose) in in_order(poses, &table.name(), flaws) {
+    let (part, apart_m) = (table.name(), |a: &Pose2, b: &Pose2| a.distance_m(b));
+    let poses = in_order(poses, &part, flaws);
+    for (time_us, pose) in without_jumps(poses, &part, flaws, apart_m, |_| false) {
         odometry
             .push(time_us, pose)
             .map_err(|e| Error::Unusable { path: table.path(), problem: e.into() })?;
@@ -94,7 +119,9 @@ fn poses(folder: &Path, name: &str, flaws: &mut Flaws) -> Result<Vec<GeoPose>, E
         poses.push((pose.time_us, line, pose));
         Ok(())
     })?;
-    Ok(in_order(poses, &table.name(), flaws).into_iter().map(|(_, pose)| pose).collect())
+    let part = table.name();
+    let poses = in_order(poses, &part, flaws);
+    Ok(without_jumps(poses, &part, flaws, apart_m, is_nowhere).into_iter().map(|(_, pose)| pose).collect())
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ pub(super) struct VehicleRow {
     pub vehicle: String,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 pub(super) struct SensorRow {
     #[serde(rename = "sensor")]
     pub index: usize,

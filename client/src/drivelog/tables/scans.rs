@@ -46,7 +46,7 @@ impl Detection {
         };
         let detection = Self {
             time_us: cells.time_us()?,
-            sensor: cells.number(1)?,
+            sensor: cells.index(1)?,
             at,
             radial_speed_mps: number(4)?,
             rcs_dbsm: number(5)?,

@@ -120,7 +120,10 @@ impl Table {
                     columns = Some(found);
                     return Ok(true);
                 }
-                (Ok(record), Some(columns)) => take(&Cells { columns, record }, line).err(),
+                (Ok(record), Some(columns)) => {
+                    let cells = Cells { columns, record };
+                    cells.fit().and_then(|()| take(&cells, line)).err()
+                }
                 (Err(problem), None) => return Err(problem),
                 (Err(problem), Some(_)) => Some(problem),
             };
@@ -165,8 +168,11 @@ impl Table {
         mut take: impl FnMut(Result<&csv::StringRecord, Problem>, u64) -> Result<bool, Problem>,
     ) -> Result<(), Error> {
         // A quote in a row of numbers is damage: it must not take the rows behind it.
-        let mut reader =
-            csv::ReaderBuilder::new().has_headers(false).quoting(false).from_reader(self.open()?);
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .quoting(false)
+            .flexible(true)
+            .from_reader(self.open()?);
         let mut record = csv::StringRecord::new();
         loop {
             let line = reader.position().line();

@@ -45,6 +45,9 @@ pub enum Happened {
         contributors: u64,
         /// How many of them no longer count.
         taken_back: u64,
+        /// How many of them vetting keeps out of the map; null while the map is made anew.
+        #[schema(required)]
+        quarantined: Option<u64>,
     },
     /// Tiles of another map's file came.
     Import {

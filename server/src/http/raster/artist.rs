@@ -69,13 +69,14 @@ impl Artist {
         is_known: impl Fn(&str) -> bool,
         patience: &Patience,
     ) -> Result<Picture, Error> {
+        // Before all that is read: what is read of a later day is not remembered as of this one.
+        let newest_day = self.store.totals().newest_day;
         let content = match view.z {
             z if z < layer.min_zoom() => ViewContent::Near(Vec::new()),
             z if z < TILES_FROM => ViewContent::Far(self.overview()?),
             _ => ViewContent::near(&*self.store, layer, &view)?,
         };
-        let newest_day = self.store.totals().newest_day;
-        let tag = content.tag(layer, &view, self.store.lineage(), newest_day);
+        let tag = content.tag(layer, &view, (self.store.lineage(), newest_day), self.expectations.judged());
         if is_known(&tag) {
             return Ok(Picture { tag, png: None });
         }

@@ -67,9 +67,10 @@ impl ViewContent {
         Ok(Self::Near(parts))
     }
 
-    /// Names what the view shows of a map of some lineage: equal tags, equal pictures. Clients keep tags for long and send
-    /// them to other builds of the service: they rest on names in addresses and on numbers, not on the code's own.
-    pub fn tag(&self, layer: Layer, view: &View, lineage: u64, newest_day: u16) -> String {
+    /// Names what the view shows of a map of some lineage, whose newest day says what of it has faded, and for the layer of expected
+    /// fixes how these are `judged`: equal tags, equal pictures. Clients keep tags for long and send them to other builds of the
+    /// service: they rest on names in addresses and on numbers, not on the code's own.
+    pub fn tag(&self, layer: Layer, view: &View, (lineage, newest_day): (u64, u16), judged: &str) -> String {
         let mut hash = SipHasher24::new();
         let mut text = |text: &str| {
             hash.write(&(text.len() as u64).to_le_bytes());
@@ -77,12 +78,12 @@ impl ViewContent {
         };
         text(env!("CARGO_PKG_VERSION"));
         text(layer.name());
+        if layer == Layer::Localizability {
+            text(judged);
+        }
         let mut put = |numbers: &[u64]| numbers.iter().for_each(|number| hash.write(&number.to_le_bytes()));
         let View { z, x, y, side } = *view;
-        put(&[z.into(), x.into(), y.into(), side as u64, lineage]);
-        if layer == Layer::Age {
-            put(&[newest_day.into()]);
-        }
+        put(&[z.into(), x.into(), y.into(), side as u64, lineage, newest_day.into()]);
         match self {
             Self::Far(overview) => {
                 for (rectangle, version, spot) in overview.seen_in(view) {

@@ -118,6 +118,27 @@ fn a_log_without_metadata_says_what_to_do() {
     }
 }
 
+/// Catches: radars that are missing in the metadata, all of whose scans are then called unknown, and numbers that are told apart by
+/// more than one blank.
+#[test]
+fn the_metadata_says_where_every_radar_sits() {
+    let of = |pairs: &[(&str, &str)]| {
+        let pairs = pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+        mounts(&pairs.collect(), true)
+    };
+    let two = of(&[("vehicle", "v"), ("sensor.0", "1  2 0.5"), ("sensor.1", "1, 2,\t0.5 ")]).unwrap();
+    assert_eq!(two, vec![Mount::new(1.0, 2.0, 0.5); 2]);
+    for (missing, pairs) in [
+        ("`sensor.0`", &[("vehicle", "v")][..]),
+        ("`sensor.0`", &[("sensor.1", "1 2 0")]),
+        ("`sensor.1`", &[("sensor.0", "1 2 0"), ("sensor.2", "1 2 0")]),
+        ("`left`", &[("sensor.0", "left")]),
+    ] {
+        let told = of(pairs).unwrap_err();
+        assert!(told.contains(missing), "{told}");
+    }
+}
+
 fn small() -> Drive {
     let scan = |i: i64| Scan {
         time_us: T0 + i * 50_000,

@@ -185,3 +185,45 @@ fn what_comes_before_the_end_of_a_torn_file_is_read() {
     assert!(log.drive.scans.len() > 1000, "{}", log.drive.scans.len());
     assert_eq!(log.flaws.count("cut_off"), 1, "{}", log.flaws);
 }
+
+/// Catches: one row of `sensors.csv` that is doubled, swapped or garbage and ends the drive, and two places of one radar of which
+/// one is taken.
+#[test]
+fn sensors_stand_in_any_order_and_one_bad_row_ends_nothing() {
+    let with =
+        |rows: &str| read_files(&[("sensors.csv", format!("sensor,x_m,y_m,yaw_rad\n{rows}").as_bytes())]);
+    let (clean, rows) = (with("0,3.5,0,0\n1,2.5,0.8,1.57\n").unwrap(), "1,2.5,0.8,1.57\n0,3.5,0,0\n");
+    assert_eq!(with(rows).unwrap(), clean);
+    for (more, reason) in
+        [("0,3.5,0,0\n", "doubled"), ("rear,1,2,3\n", "unreadable"), ("2,nan,0,0\n", "not_finite")]
+    {
+        let log = with(&format!("{rows}{more}")).unwrap();
+        assert_eq!(log.drive, clean.drive);
+        assert_eq!((log.flaws.count(reason), log.flaws.total()), (1, 1), "{}", log.flaws);
+    }
+    for (rows, words) in [
+        ("0,3.5,0,0\n0,3.6,0,0\n", "sensor 0 stands there twice"),
+        ("1,3.5,0,0\n", "expected sensor 0"),
+        ("0,front,0,0\n1,3.5,0,0\n", "line 2: column `x_m` is `front`"),
+    ] {
+        let told = with(rows).unwrap_err().to_string();
+        assert!(told.contains(words) && told.contains("sensors.csv"), "{told}");
+    }
+}
+
+/// Catches: a log of a writer that ends rows with a comma, knows only fractions, or shouts; and one whose cells are separated otherwise,
+/// of which only a column is said to be missing.
+#[test]
+fn writers_have_their_ways() {
+    let rows = |end: &str, sensor: &str| {
+        format!("TIME_US,Sensor,range_m,azimuth_rad\n0,{sensor},1,0{end}\n0,{sensor},2,0{end}\n")
+    };
+    let clean = read_with(&rows("", "1").to_lowercase()).unwrap();
+    for (end, sensor) in [("", "1"), (",", "1"), (", ,", "1.0"), ("", "1.")] {
+        let log = read_with(&rows(end, sensor)).unwrap();
+        assert!(log == clean && clean.drive.scans[0].len() == 2, "{end} {sensor}: {}", log.flaws);
+    }
+    assert_eq!(read_with(&(rows("", "1") + "0,1,3,0,9\n")).unwrap().flaws.count("unreadable"), 1);
+    let told = read_with("time_us;sensor;range_m;azimuth_rad\n0;1;1;0\n").unwrap_err().to_string();
+    assert!(told.contains("separated by ';'"), "{told}");
+}

@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Reads a number, which must lie within a range; none that is no number does.
+/// Reads a number as an argument, which must lie within a range; none that is no number does.
 pub fn within<T>(range: RangeInclusive<T>) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync
 where
     T: FromStr<Err: Display> + PartialOrd + Display + Clone + Send + Sync + 'static,
