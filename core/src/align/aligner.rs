@@ -52,7 +52,7 @@ impl Aligner {
         let sharp = ranking.field.sharpened();
         let best = ranking.refined.first();
         let drift = search.drift.unwrap_or_else(|| DriftPrior::of(batch));
-        let answer = best.map(|rigid| self.drift.refine(&sharp, prior, rigid, &drift));
+        let answer = best.map(|rigid| self.drift.refine(&sharp, prior, rigid, &drift, integrity.temperature));
         let challenge = self.rivals.challenge(&ranking);
         Findings { ranking: &ranking, answer, challenge }.judge(integrity)
     }

@@ -117,7 +117,8 @@ impl DriftRefiner {
         }
     }
 
-    /// Refines a candidate further, over the pose and the drift. The answer is the pose at the reference time.
+    /// Refines a candidate further, over the pose and the drift. The answer is the pose at the reference time. Its
+    /// information is in units of the score, to be multiplied by `score_temperature`: see [`RefinedCandidate::covariance`].
     #[must_use]
     pub fn refine(
         &self,
@@ -125,6 +126,7 @@ impl DriftRefiner {
         prior: &Prior,
         from: &RefinedCandidate,
         drift: &DriftPrior,
+        score_temperature: f64,
     ) -> RefinedCandidate {
         let sigma = [drift.position_mps, drift.position_mps, drift.yaw_radps]
             .map(|s| CENTRE * s * self.duration_s.max(0.1));
@@ -154,7 +156,7 @@ impl DriftRefiner {
         RefinedCandidate {
             correction: Pose2::new(end[0], end[1], wrap_angle(end[2])),
             score: here.weight / self.points.len().max(1) as f64,
-            information: here.information_of_the_end(stiff),
+            information: here.information_of_the_end(stiff, drift.temperature / score_temperature),
             beyond: drift.bend(self.duration_s, self.travelled_m, prior.pose.yaw_rad + end[2]),
             at_edge: from.at_edge,
         }
@@ -242,19 +244,43 @@ impl Landscape {
     }
 
     /// The information about the pose at the end of the batch; zero where this is no maximum. The error of the
-    /// drift's estimate is the score's, and what its prior takes off a drift as large as the odometry's sigmas.
-    fn information_of_the_end(&self, stiff: [f64; 3]) -> Matrix3<f64> {
+    /// drift's estimate is the score's, and what its prior takes off a drift as large as the odometry's sigmas. The prior's
+    /// stiffness is the `hotter` one of the two temperatures times that of the score.
+    fn information_of_the_end(&self, stiff: [f64; 3], hotter: f64) -> Matrix3<f64> {
         let Some(inverse) = (-self.curvature).cholesky().map(|c| c.inverse()) else {
             return Matrix3::zeros();
         };
         let mut spread = -self.curvature;
         for i in 0..3 {
             let held = self.held * stiff[i];
-            spread[(i + 3, i + 3)] += held * held / (CENTRE * CENTRE * stiff[i]) - held;
+            spread[(i + 3, i + 3)] += hotter * held * held / (CENTRE * CENTRE * stiff[i]) - held;
         }
         let covariance = inverse * spread * inverse;
         let block = |row: usize, column: usize| covariance.fixed_view::<3, 3>(row, column).into_owned();
         let end = block(0, 0) + (block(0, 3) + block(3, 0)) * 0.5 + block(3, 3) * 0.25;
         end.cholesky().map_or_else(Matrix3::zeros, |c| c.inverse())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Catches: a covariance that takes the prior's pull for less than it is: the drift's stiffness is in units of another
+    /// temperature than the score's.
+    #[test]
+    fn where_the_score_says_nothing_of_the_drift_the_answer_errs_by_half_of_it() {
+        let (drift_m, drift_temperature, score_temperature) = (0.4, 3.0, 2.0);
+        let stiff = [drift_temperature / (CENTRE * drift_m).powi(2); 3];
+        let held = 1.7;
+        let curvature = |i: usize| if i < 3 { -1e9 } else { -held * stiff[i - 3] };
+        let landscape = Landscape {
+            held,
+            curvature: Matrix6::from_diagonal(&Vector6::from_iterator((0..6).map(curvature))),
+            ..Landscape::default()
+        };
+        let information = landscape.information_of_the_end(stiff, drift_temperature / score_temperature);
+        let variance = score_temperature / information[(0, 0)];
+        assert!((variance.sqrt() - 0.5 * drift_m).abs() < 1e-4, "{variance}");
     }
 }

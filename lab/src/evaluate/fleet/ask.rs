@@ -123,7 +123,7 @@ impl DriveAsker<'_> {
     }
 
     fn case(&self, name: String) -> Case {
-        let form = BatchForm { length_s: self.plan.questions.batch_s, fault: Fault::None };
+        let form = BatchForm { length_s: self.plan.questions.batch_s, fault: Fault::None, declared: false };
         let priors = self.plan.questions.priors;
         Case { name, k: 0.0, place: Place::Mapped, form, lie: PriorLie::Honest, priors }
     }

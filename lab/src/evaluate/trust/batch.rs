@@ -1,14 +1,17 @@
 //! Batches of a drive, organised as vehicle and service do it, and what can be wrong with them.
 
 use echofix_core::batch::Batch;
+use echofix_core::calibration::CalibrationConfig;
+use echofix_core::calibration::clock::clock_of_batch;
 use echofix_core::doppler::dedrift::{OdometryBias, dedrifted};
 use echofix_core::doppler::ego::EgoConfig;
 use echofix_core::drive::Drive;
 use echofix_core::gate::{Gate, gate_scan};
 use echofix_core::odometry::{OdometryQuality, Trajectory};
+use echofix_core::own_error::{MountSigma, own_error};
 use echofix_core::pose::Pose2;
 use echofix_core::scan::{Mount, Scan};
-use echofix_sim::{Drift, Growth};
+use echofix_sim::{DeadReckoning, Drift, Growth};
 
 use crate::evaluate::epoch::within;
 
@@ -52,7 +55,31 @@ pub struct BatchForm {
     pub length_s: f64,
     /// The fault.
     pub fault: Fault,
+    /// Whether the vehicle says how good its odometry, mounts and clocks are. One that is silent is taken for the worst.
+    pub declared: bool,
 }
+
+/// What a vehicle of these worlds can say of its odometry ([`DeadReckoning`]'s defaults, over a batch of 5 s) and of its
+/// radars: what a calibration leaves.
+fn said() -> (OdometryBias, OdometryQuality, MountSigma) {
+    const SECONDS: f64 = 5.0;
+    let DeadReckoning { scale, gyro_bias_radps, walk_m, walk_rad } = DeadReckoning::default();
+    let velocity_mps = walk_m * (TYPICAL_MPS / SECONDS).sqrt();
+    let yaw_rate_radps = gyro_bias_radps.hypot(walk_rad / SECONDS.sqrt());
+    let bias = OdometryBias {
+        velocity_mps,
+        left_mps: velocity_mps,
+        yaw_rate_radps,
+        scale,
+        ..OdometryBias::default()
+    };
+    let quality = OdometryQuality { velocity_mps, velocity_fraction: scale, yaw_rate_radps };
+    let left = CalibrationConfig::default().floors;
+    (bias, quality, MountSigma { time_s: left.late_s, position_m: left.forward_m, yaw_rad: left.yaw_rad })
+}
+
+/// A speed in town, metres per second.
+const TYPICAL_MPS: f64 = 8.0;
 
 /// The batch whose newest scan comes at or before a time, and the time of that scan by the vehicle's clock; `None` where
 /// there is nothing to ask with.
@@ -83,14 +110,18 @@ pub fn organised(
     }
     scans.retain(|scan| !scan.is_empty());
     let corrects = form.fault != Fault::Drift;
-    let corrected = corrects
-        .then(|| dedrifted(&scans, &mounts, &odometry, &EgoConfig::default(), &OdometryBias::default()))
-        .flatten();
-    let silent = OdometryQuality::default();
-    let (odometry, quality) = corrected.map_or((odometry, silent), |c| (c.trajectory, c.quality));
+    let silent = (OdometryBias::default(), OdometryQuality::default(), MountSigma::default());
+    let (bias, quality, known) = if form.declared { said() } else { silent };
+    let corrected =
+        corrects.then(|| dedrifted(&scans, &mounts, &odometry, &EgoConfig::default(), &bias)).flatten();
+    let (odometry, quality) = corrected.map_or((odometry, quality), |c| (c.trajectory, c.quality));
     let Some(newest_us) = scans.last().map(|scan| scan.time_us) else { return Ok(None) };
     let batch = Batch::organise(&scans, &mounts, &odometry, newest_us, &gate)?;
-    Ok(Some((Batch { quality, ..batch }, newest_us)))
+    // As the service takes what is said of mounts and clocks.
+    let clock = clock_of_batch(scans.iter(), &mounts, &odometry).map_or(0.0, |clock| clock.value);
+    let sigma = MountSigma { time_s: clock.hypot(known.time_s), ..known };
+    let own_error = own_error(&batch, &odometry, newest_us, &mounts, &vec![sigma; mounts.len()]);
+    Ok(Some((Batch { quality, own_error, ..batch }, newest_us)))
 }
 
 fn part(scans: &[Scan], start_us: i64, end_us: i64) -> &[Scan] {

@@ -32,7 +32,7 @@ pub struct Case {
 }
 
 /// The usual batch.
-const USUAL: BatchForm = BatchForm { length_s: 5.0, fault: Fault::None };
+const USUAL: BatchForm = BatchForm { length_s: 5.0, fault: Fault::None, declared: false };
 
 /// All ways to ask, or a few.
 pub fn cases(quick: bool) -> Vec<Case> {
@@ -41,6 +41,7 @@ pub fn cases(quick: bool) -> Vec<Case> {
         let priors = if quick { 1 } else { 2 };
         all.push(Case { name: name.to_owned(), k, place, form, lie: PriorLie::Honest, priors });
     };
+    add("right, errors declared", 0.0, Place::Mapped, BatchForm { declared: true, ..USUAL });
     add("map ends", 0.0, Place::MapEnds, USUAL);
     add("unmapped street", 0.0, Place::Unmapped, USUAL);
     let lengths: &[f64] = if quick { &[1.0, 8.0] } else { &[1.0, 3.0, 8.0] };

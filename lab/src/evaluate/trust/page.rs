@@ -10,7 +10,8 @@ const WORDS: &str = "## Trust
 
 Worlds of all families of `echofix_sim::family`, which differ in town, radars, density, clutter, noise, pace, crowd, pose
 quality and age of the map, are mapped as the service maps them and asked in every way in which a question can be bad. Every
-prior claims 2 m and 3 deg. *Wrong* is USABLE and off by more than a metre, or USABLE where there is nothing to be found;
+prior claims 2 m and 3 deg. Vehicles say nothing of their odometry, mounts and clocks and are taken for the worst, but where
+errors are declared: there they are what they are said to be. *Wrong* is USABLE and off by more than a metre, or USABLE where there is nothing to be found;
 *beyond* is USABLE and beyond the level of 1e-3 along, across, or of the heading. The first figure is the mean over families,
 each counted once; the second the worst family's, with its name. Questions that share a batch are not independent: batches
 are counted beside them. NEES is the mean squared error in sigmas of the usable answers that are not wrong (1 is right).
