@@ -59,7 +59,7 @@ pub async fn upload_to(
     let RecordedDrive { uploads, left_out, findings, flaws, not_wanted } =
         record_wanted(drive, config, wanted.as_ref())?;
     let findings: Vec<String> = findings.iter().map(ToString::to_string).collect();
-    let mut done = UploadedDrive { left_out, findings, flaws, not_wanted, ..UploadedDrive::default() };
+    let mut done = UploadedDrive { not_wanted, left_out, findings, flaws, ..UploadedDrive::default() };
     if uploads.is_empty() && not_wanted == 0 {
         bail!("nothing of the drive of `{}` can be mapped; {}", drive.vehicle, done.why_nothing());
     }

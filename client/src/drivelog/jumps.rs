@@ -66,7 +66,9 @@ mod tests {
             assert_eq!(left(&along), (good, bad as u64), "{bad} at {at}");
         }
         let mut lost = drive.clone();
-        lost.iter_mut().for_each(|m| *m += 1e4);
+        for m in &mut lost {
+            *m += 1e4;
+        }
         lost[20..60].fill(0.0);
         assert_eq!(left(&lost).1, 40, "a receiver that knows no place says 0");
         let anew: Vec<f64> = drive.iter().copied().chain((1..100).map(|m| 1e6 + f64::from(m))).collect();

@@ -176,13 +176,11 @@ impl PreparedUpload {
         let poses = self.chunks().find_map(|chunk| chunk.poses.as_ref());
         let first =
             poses.and_then(|poses| Some((*poses.latitude_deg.first()?, *poses.longitude_deg.first()?)));
-        match first {
-            Some((lat_deg, lon_deg)) => routing::region_at(LatLon { lat_deg, lon_deg }),
-            None => {
-                let delta = self.evidence().ok()?;
-                routing::region_of_most(delta.tiles.iter().map(|(id, tile)| (*id, tile.detections())))
-            }
+        if let Some((lat_deg, lon_deg)) = first {
+            return routing::region_at(LatLon { lat_deg, lon_deg });
         }
+        let delta = self.evidence().ok()?;
+        routing::region_of_most(delta.tiles.iter().map(|(id, tile)| (*id, tile.detections())))
     }
 
     fn evidence_bytes(&self) -> Vec<u8> {

@@ -84,6 +84,52 @@ fn mistakes_are_reported_with_their_origin_and_a_hint() {
     assert!(Config::load(&Sources { file: Some("/nowhere.toml".into()), ..Sources::default() }).is_err());
 }
 
+/// What is no number out of range.
+const OTHERS: &[(&str, &str)] = &[
+    ("limits.header_bytes", "4000000000"),
+    ("limits.streams_per_connection", "4000000000"),
+    ("limits.streams_per_connection", "0"),
+    ("locating.integrity_risk", "0.999"),
+    ("store.announce", "replica-0:50051"),
+    ("store.announce", "https://replica-0"),
+    ("store.announce", "https://replica-0:50051/"),
+    // With nobody to tell it to.
+    ("store.announce", "https://replica-0:50051"),
+    ("store.url", "maps"),
+    ("store.url", "s3://"),
+    ("store.url", "s3:///prefix"),
+    ("store.url", "file:"),
+    ("store.data_dir", ""),
+    ("store.data_dir", "  "),
+    ("log.access", "yes"),
+    ("log.filter", "%%%"),
+    ("log.filter", "info,%%%"),
+    ("log.filter", ""),
+    ("log.filter", "echofix=loud"),
+    ("http.listen", "127.0.0.1:50051"),
+    ("http.hosts", "[\"http://maps.example.com\"]"),
+    ("http.hosts", "[\"maps.example.com:80\"]"),
+    ("http.hosts", "[\"\"]"),
+    ("http.hosts", "[1]"),
+    ("http.base_path", "echofix"),
+    ("http.base_path", "/echofix/"),
+    ("http.base_path", "//evil.example"),
+    ("http.base_path", "/a/../b"),
+    ("http.cors_origins", "[\"maps.example\"]"),
+    ("http.cors_origins", "[\"https://maps.example/\"]"),
+    ("http.cors_origins", "[\"null\"]"),
+    ("http.cors_origins", "[\"*\", \"\"]"),
+    ("http.base_map", "https://tiles.example/{z}.png"),
+    ("http.base_map", "https://tiles.example;/{z}/{x}/{y}.png"),
+    ("http.base_map", "/nowhere/town.pmtiles"),
+    ("http.base_map_max_zoom", "25"),
+    ("limits.stall_s", "601"),
+    ("alarms.webhook", "alerts.example.com"),
+    ("alarms.webhook", "ftp://alerts.example.com"),
+    ("alarms.webhook_secret", "/nowhere/token"),
+    ("alarms.console", "maps"),
+];
+
 /// Catches: a configuration that passes the check and fails the service, or makes a limit none.
 #[test]
 fn every_value_that_makes_no_sense_is_told_in_words() {
@@ -136,51 +182,7 @@ fn every_value_that_makes_no_sense_is_told_in_words() {
     let each = |keys: &[&'static str], value: &'static str| -> Vec<_> {
         keys.iter().map(|key| (*key, value)).collect()
     };
-    let others = [
-        ("limits.header_bytes", "4000000000"),
-        ("limits.streams_per_connection", "4000000000"),
-        ("limits.streams_per_connection", "0"),
-        ("locating.integrity_risk", "0.999"),
-        ("store.announce", "replica-0:50051"),
-        ("store.announce", "https://replica-0"),
-        ("store.announce", "https://replica-0:50051/"),
-        // With nobody to tell it to.
-        ("store.announce", "https://replica-0:50051"),
-        ("store.url", "maps"),
-        ("store.url", "s3://"),
-        ("store.url", "s3:///prefix"),
-        ("store.url", "file:"),
-        ("store.data_dir", ""),
-        ("store.data_dir", "  "),
-        ("log.access", "yes"),
-        ("log.filter", "%%%"),
-        ("log.filter", "info,%%%"),
-        ("log.filter", ""),
-        ("log.filter", "echofix=loud"),
-        ("http.listen", "127.0.0.1:50051"),
-        ("http.hosts", "[\"http://maps.example.com\"]"),
-        ("http.hosts", "[\"maps.example.com:80\"]"),
-        ("http.hosts", "[\"\"]"),
-        ("http.hosts", "[1]"),
-        ("http.base_path", "echofix"),
-        ("http.base_path", "/echofix/"),
-        ("http.base_path", "//evil.example"),
-        ("http.base_path", "/a/../b"),
-        ("http.cors_origins", "[\"maps.example\"]"),
-        ("http.cors_origins", "[\"https://maps.example/\"]"),
-        ("http.cors_origins", "[\"null\"]"),
-        ("http.cors_origins", "[\"*\", \"\"]"),
-        ("http.base_map", "https://tiles.example/{z}.png"),
-        ("http.base_map", "https://tiles.example;/{z}/{x}/{y}.png"),
-        ("http.base_map", "/nowhere/town.pmtiles"),
-        ("http.base_map_max_zoom", "25"),
-        ("limits.stall_s", "601"),
-        ("alarms.webhook", "alerts.example.com"),
-        ("alarms.webhook", "ftp://alerts.example.com"),
-        ("alarms.webhook_secret", "/nowhere/token"),
-        ("alarms.console", "maps"),
-    ];
-    let cases = [each(&numbers, many), each(&floats, "1e17"), each(&floats, "nan"), others.to_vec()].concat();
+    let cases = [each(&numbers, many), each(&floats, "1e17"), each(&floats, "nan"), OTHERS.to_vec()].concat();
     for (key, value) in cases {
         let error = load(None, &[], &[(key, value)]).expect_err(&format!("{key} = {value}")).to_string();
         let (_, name) = key.split_once('.').unwrap();

@@ -80,11 +80,11 @@ impl Only {
 #[into_params(parameter_in = Query)]
 pub struct ContributorsQuery {
     /// What comes first: who uploaded `last` or most (`uploads`), or of whom most is `quarantined` or `taken_back`.
-    #[param(inline, default = "last", required = false)]
+    #[param(inline, required = false)]
     #[serde(default)]
     sort: Order,
     /// Which contributors: `all`, those of whom anything is `quarantined`, or those that are `revoked`.
-    #[param(inline, default = "all", required = false)]
+    #[param(inline, required = false)]
     #[serde(default)]
     only: Only,
     /// With what the hashes begin.

@@ -234,7 +234,7 @@ mod tests {
             assert_eq!(tag(path).await, before[before.len() - 1], "{path}");
         }
         let far = TileId { x: austin().x + 100, ..austin() };
-        let later = echofix_core::tile::Cell {
+        let later = echofix_core::evidence::Cell {
             hits: 2,
             passes: 1,
             contributors: 1,
