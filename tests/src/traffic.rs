@@ -5,10 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use echofix_client::upload::{PreparedUpload, RecorderConfig};
+use echofix_core::geo::LatLon;
 use echofix_harness::recording::to_the_ends;
 use echofix_proto::v1::mapping_service_client::MappingServiceClient;
 use echofix_proto::v1::upload_request::Part;
 use echofix_proto::v1::{UploadRequest, UploadResponse};
+use echofix_sim::CityParams;
 use tokio::task::JoinSet;
 use tonic::transport::Channel;
 use uuid::Uuid;
@@ -18,6 +20,14 @@ use crate::{grpc, mapping, town};
 
 /// Vehicles that upload at once.
 const VEHICLES: u32 = 4;
+/// Latitude between two towns, degrees: 1.1 km.
+const TOWNS_APART_DEG: f64 = 0.01;
+
+/// Towns to which the uploads go in turn: `ECHOFIX_TOWNS`, 1 unless set. The long runs need many, or every tile would take
+/// thousands of passes, which no street sees.
+fn towns() -> u32 {
+    std::env::var("ECHOFIX_TOWNS").map_or(1, |text| text.parse().expect("ECHOFIX_TOWNS is a number"))
+}
 
 /// Short uploads without end, by their number.
 pub struct Uploads {
@@ -28,13 +38,19 @@ pub struct Uploads {
 }
 
 impl Uploads {
-    /// Parts of a drive through the town.
+    /// Parts of a drive through each town.
     pub fn new(seed: u64) -> Self {
-        let drive = town::wander(&town::town(seed), 0, "mapper", seed, 300.0);
-        let short = RecorderConfig { cut_after_s: 0.5, cut_after_m: 5.0, ..to_the_ends() };
-        let templates =
-            mapping::uploads_as(&drive, short).into_iter().map(PreparedUpload::into_parts).collect();
+        let templates = (0..towns()).flat_map(|town| Self::of_town(seed, town)).collect();
         Self { seed, templates, next: AtomicU32::new(0) }
+    }
+
+    fn of_town(seed: u64, town: u32) -> Vec<Vec<UploadRequest>> {
+        let origin = CityParams::default().origin;
+        let origin = LatLon { lat_deg: origin.lat_deg + TOWNS_APART_DEG * f64::from(town), ..origin };
+        let city = town::town_at(seed + u64::from(town), origin);
+        let drive = town::wander(&city, 0, "mapper", seed, 300.0);
+        let short = RecorderConfig { cut_after_s: 0.5, cut_after_m: 5.0, ..to_the_ends() };
+        mapping::uploads_as(&drive, short).into_iter().map(PreparedUpload::into_parts).collect()
     }
 
     /// The number of an upload that was not sent yet.

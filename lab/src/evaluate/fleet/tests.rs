@@ -22,8 +22,10 @@ fn plan(words: &str) -> Result<FleetPlan, clap::Error> {
 
 /// What the command says of arguments that it refuses.
 fn refusal(words: &str) -> String {
-    let error = run(&plan(words).unwrap()).map(|_| ()).unwrap_err();
-    format!("{error:#}")
+    match plan(words) {
+        Ok(plan) => format!("{:#}", run(&plan).map(|_| ()).unwrap_err()),
+        Err(error) => error.to_string(),
+    }
 }
 
 /// Writes the log of a vehicle in a street of a town, a vehicle a day.
@@ -115,8 +117,8 @@ fn what_cannot_be_checked_is_refused_with_what_to_do() {
         (format!("--drives {good} --map {vague}"), "--max-sigma-m"),
         (format!("--drives {good} {vague}"), "the map is empty"),
         (format!("--drives {abroad} --map {good}"), "same streets"),
-        (format!("--drives {good} --map {abroad} --batch-s 900"), "no batch to ask with"),
-        (format!("--drives {good} --map {abroad} --integrity-risk 1"), "between 0 and 1"),
+        (format!("--drives {good} --map {abroad} --batch-s 60"), "no batch to ask with"),
+        (format!("--drives {good} --map {abroad} --integrity-risk 1"), "must lie within"),
         (format!("--drives {good} --map {abroad}/none"), "reading"),
     ] {
         let told = refusal(&words);

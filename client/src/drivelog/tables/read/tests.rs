@@ -7,22 +7,25 @@ const SENSORS: &str = "sensor,x_m,y_m,yaw_rad\n0,3.5,0,0\n1,2.5,0.8,1.57\n";
 const ODOMETRY: &str = "time_us,x_m,y_m,yaw_rad\n0,0,0,0\n100000,1.5,0,0\n";
 
 fn read_files(files: &[(&str, &[u8])]) -> Result<DriveLog, Error> {
-    let dir = tempfile::tempdir().unwrap();
+    let temporary = tempfile::tempdir().unwrap();
+    // The vehicle is named after the folder.
+    let dir = temporary.path().join("drive");
+    fs::create_dir(&dir).unwrap();
     let defaults = [
         ("sensors.csv", SENSORS),
         ("odometry.csv", ODOMETRY),
         ("scans.csv", "time_us,sensor,range_m,azimuth_rad\n"),
     ];
     for (name, text) in defaults {
-        fs::write(dir.path().join(name), text).unwrap();
+        fs::write(dir.join(name), text).unwrap();
     }
     for (name, bytes) in files {
         if let Some(plain) = name.strip_suffix(".gz") {
-            fs::remove_file(dir.path().join(plain)).unwrap();
+            fs::remove_file(dir.join(plain)).unwrap();
         }
-        fs::write(dir.path().join(name), bytes).unwrap();
+        fs::write(dir.join(name), bytes).unwrap();
     }
-    drivelog::read(dir.path())
+    drivelog::read(&dir)
 }
 
 fn read_with(scans: &str) -> Result<DriveLog, Error> {
