@@ -268,7 +268,7 @@ async fn told_of(service: &Service, region: &str) -> Option<String> {
 /// and calls that are not answered where they are better asked elsewhere.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs SeaweedFS: tests/s3/seaweedfs install"]
-async fn replicas_name_the_one_that_keeps_a_region_warm() {
+async fn replicas_on_an_object_store_name_the_one_that_keeps_a_region_warm() {
     let store = SeaweedFs::start();
     let mut replicas: Vec<_> = (0..3).map(|_| Service::start_as(announced(&store))).collect();
     let addresses: Vec<_> = replicas.iter().map(|service| service.grpc.clone()).collect();
