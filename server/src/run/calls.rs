@@ -17,9 +17,12 @@ use tower::{Layer, Service};
 
 use super::connections::{InUse, Origin};
 use super::ended;
-use super::grpc::STREAM_WINDOW;
 use crate::grpc::status;
 use crate::pace::{Pace, PacedBody, TooSlow};
+
+/// Bytes of a stream that may be under way before they are read. Those of one that is refused on its headers are sent for nothing,
+/// so there are no more than every caller may send before it has heard of the service's window.
+pub(super) const STREAM_WINDOW: u32 = (64 << 10) - 1;
 
 /// Calls whose messages come when the caller has some.
 const AT_LEISURE: [&str; 2] = [

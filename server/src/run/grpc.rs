@@ -16,7 +16,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use tower::util::MapResponseLayer;
 
-use super::calls::CallsLayer;
+use super::calls::{CallsLayer, STREAM_WINDOW};
 use super::connections::{Acceptor, Door};
 use super::counted::CountedLayer;
 use super::listener::Listener;
@@ -30,9 +30,7 @@ use crate::locating::Locator;
 use crate::port::Port;
 use crate::trace::RequestSpanLayer;
 
-/// Bytes of a stream and of a connection that may be under way before they are read. Those of a stream that is refused on its
-/// headers are sent for nothing, so there are no more than every caller may send before it has heard of the service's window.
-pub(super) const STREAM_WINDOW: u32 = (64 << 10) - 1;
+/// The same of all streams of a connection.
 const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Bytes of an answer: a piece of a tile stays far below, and so do the names of all tiles of an area.
 const MAX_ANSWER: usize = 4 << 20;
